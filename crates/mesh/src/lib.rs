@@ -1,1 +1,157 @@
-//! mesh
+//! Polytopal meshes of a fractured rock, in two and three dimensions.
+//!
+//! A [`MeshData`] says which vertices make a face and which faces make a cell, and names regions,
+//! boundary tags and fractures. [`Mesh::new`] checks it and derives all that the discretisations need:
+//!
+//! - orientation: every face has a normal outward from its first cell ([`Mesh::face_cells`]);
+//! - [`Geometry`]: measures, centres, and the weights that integrate affine functions exactly;
+//! - [`Network`]: the fracture faces, their sides and bases, and the edges where they meet;
+//! - [`Nodes`]: the vertices, split along the fractures.
+//!
+//! Coordinates are metres; in two dimensions z = 0. Entities are called as in the literature on
+//! fractured media: cell, face, edge and vertex have dimension d, d − 1, 1 and 0.
+
+mod data;
+mod error;
+pub mod generate;
+mod geometry;
+mod lists;
+mod network;
+mod nodes;
+mod topology;
+
+pub use data::MeshData;
+pub use error::{MeshError, Problem};
+pub use geometry::Geometry;
+pub use glam::DVec3 as Vec3;
+pub use lists::Lists;
+pub use network::{EdgeKind, Network, Side, tangents};
+pub use nodes::Nodes;
+
+/// A checked mesh with all that is derived from it.
+///
+/// The fields of [`data`](Self::data) keep their numbering; the vertices of a face may have been
+/// reversed so that its normal points out of its first cell.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    data: MeshData,
+    face_cells: Vec<(usize, Option<usize>)>,
+    cell_face_signs: Vec<f64>,
+    cell_vertices: Lists,
+    geometry: Geometry,
+    network: Network,
+    nodes: Nodes,
+}
+
+impl Mesh {
+    /// Checks `data` and derives orientation, geometry, fracture network and nodes.
+    ///
+    /// # Errors
+    /// All the problems found. Those of geometry are looked for only where the topology is sound.
+    pub fn new(data: MeshData) -> Result<Self, MeshError> {
+        topology::build(data, false)
+    }
+
+    /// As [`new`](Self::new), with plus and minus side of every fracture exchanged.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_swapped_sides(data: MeshData) -> Result<Self, MeshError> {
+        topology::build(data, true)
+    }
+
+    /// 2 or 3.
+    pub fn dim(&self) -> usize {
+        self.data.dim
+    }
+
+    /// What the mesh was made from.
+    pub fn data(&self) -> &MeshData {
+        &self.data
+    }
+
+    /// Gives back what the mesh was made from.
+    pub fn into_data(self) -> MeshData {
+        self.data
+    }
+
+    /// Coordinates (m); z = 0 in 2D.
+    pub fn vertices(&self) -> &[Vec3] {
+        &self.data.vertices
+    }
+
+    /// Number of faces.
+    pub fn face_count(&self) -> usize {
+        self.data.faces.len()
+    }
+
+    /// Number of cells.
+    pub fn cell_count(&self) -> usize {
+        self.data.cells.len()
+    }
+
+    /// The vertices of a face: the two ends (2D), or the polygon, counter-clockwise seen from the side
+    /// its normal points to (3D).
+    pub fn face_vertices(&self, face: usize) -> &[usize] {
+        self.data.faces.get(face)
+    }
+
+    /// The faces of a cell.
+    pub fn cell_faces(&self, cell: usize) -> &[usize] {
+        self.data.cells.get(cell)
+    }
+
+    /// For each of [`cell_faces`](Self::cell_faces), +1 where the face's normal points out of the cell, −1
+    /// where it points in.
+    pub fn cell_face_signs(&self, cell: usize) -> &[f64] {
+        &self.cell_face_signs[self.data.cells.range(cell)]
+    }
+
+    /// The vertices of a cell, ascending.
+    pub fn cell_vertices(&self, cell: usize) -> &[usize] {
+        self.cell_vertices.get(cell)
+    }
+
+    /// The vertices of all cells.
+    pub fn cell_vertex_lists(&self) -> &Lists {
+        &self.cell_vertices
+    }
+
+    /// The cell that a face's normal points out of, and the cell on the other side if there is one. On a
+    /// fracture face the first is the plus side.
+    pub fn face_cells(&self, face: usize) -> (usize, Option<usize>) {
+        self.face_cells[face]
+    }
+
+    /// Whether a face lies on the outer boundary.
+    pub fn is_boundary(&self, face: usize) -> bool {
+        self.face_cells[face].1.is_none()
+    }
+
+    /// Measures, centres and weights.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// The fracture network.
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// The vertices, split along the fractures.
+    pub fn nodes(&self) -> &Nodes {
+        &self.nodes
+    }
+
+    /// The faces of the outer boundary that carry a tag; none where there is no such tag.
+    pub fn tagged_faces<'a>(&'a self, tag: &str) -> impl Iterator<Item = usize> + 'a {
+        let wanted = self.data.tags.iter().position(|t| t == tag);
+        (0..self.face_count()).filter(move |&f| wanted.is_some() && self.data.face_tag[f] == wanted)
+    }
+
+    /// The cells of a region; none where there is no such region.
+    pub fn region_cells<'a>(&'a self, region: &str) -> impl Iterator<Item = usize> + 'a {
+        let wanted = self.data.regions.iter().position(|r| r == region);
+        (0..self.cell_count()).filter(move |&c| Some(self.data.cell_region[c]) == wanted)
+    }
+}
