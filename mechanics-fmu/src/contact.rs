@@ -1,0 +1,221 @@
+//! The contact laws of a fracture face and their linearisation.
+//!
+//! With β > 0 and the increment δ⟦u⟧_τ = ⟦u − u^{n−1}⟧_τ (method: Alart, Curnier, CMAME 1991; as used by Droniou, Enchéry,
+//! Faille, Haidar, Masson, CMAME 2024, section 4.3):
+//!
+//! ```text
+//! b_n = λ_n + β ⟦u⟧_n,   b_τ = λ_τ + β δ⟦u⟧_τ,   bound = F b_n + cohesion (Coulomb) or fixed (Tresca)
+//! open  (b_n ≤ 0):            λ = 0
+//! stick (|b_τ| ≤ bound):      ⟦u⟧_n = 0,  δ⟦u⟧_τ = 0
+//! slip  (otherwise):          ⟦u⟧_n = 0,  λ_τ = bound b_τ/|b_τ|
+//! ```
+//!
+//! Where the fracture has a normal stiffness k_n, ⟦u⟧_n = λ_n/k_n takes the place of ⟦u⟧_n = 0, also in b_n.
+//! All vectors are in the basis (n⁺, t₁, t₂) of the face.
+
+use crate::model::{Friction, FractureLaw};
+
+/// A vector in the basis of a fracture face; in 2D the last component is 0.
+pub(crate) type Local = [f64; 3];
+
+/// What a fracture face does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum ContactState {
+    /// The sides do not touch: no traction.
+    Open = 0,
+    /// The sides are in contact and do not move against each other.
+    Stick = 1,
+    /// The sides are in contact and move against each other, at the bound of friction.
+    Slip = 2,
+}
+
+/// A fracture face as the contact problem sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Face {
+    /// Length or area.
+    pub(crate) measure: f64,
+    /// β (Pa/m).
+    pub(crate) beta: f64,
+    pub(crate) friction: Friction,
+    /// tan ψ.
+    pub(crate) dilation: f64,
+    /// 1/k_n (m/Pa), 0 where rigid.
+    pub(crate) compliance: f64,
+    /// Aperture in contact d_c (m).
+    pub(crate) contact_aperture: f64,
+}
+
+/// How a face's pressure follows its aperture: p_f = p* − S_f (d_f − d*).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct FacePartner {
+    /// p* + S_f d* (Pa).
+    pub(crate) offset: f64,
+    /// S_f ≥ 0 (Pa/m).
+    pub(crate) stiffness: f64,
+}
+
+/// The linearised law of a face: jumps that are given, and for each other component i the equation
+/// Σ_j T_ij ((S g)_j − r_j) + Σ_j H_ij g_j + h_i = 0, where the sums run over the components of the face.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Linearised {
+    /// The value of each component that is given; `None` for an unknown.
+    pub(crate) given: [Option<f64>; 3],
+    pub(crate) t: [Local; 3],
+    pub(crate) h: [Local; 3],
+    pub(crate) h0: Local,
+}
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+impl Face {
+    pub(crate) fn new(law: &FractureLaw, measure: f64, beta: f64, contact_aperture: f64) -> Self {
+        Self {
+            measure,
+            beta,
+            friction: law.friction,
+            dilation: law.dilation_angle.tan(),
+            compliance: law.normal_stiffness.map_or(0.0, |k| 1.0 / k),
+            contact_aperture,
+        }
+    }
+
+    /// Aperture d_f = d_c − ⟦u⟧_n + tan ψ |⟦u − u⁰⟧_τ| (m), with the slip counted from `origin`.
+    pub(crate) fn aperture(&self, jump: &Local, origin: &Local) -> f64 {
+        let slip = [jump[1] - origin[1], jump[2] - origin[2]];
+        self.contact_aperture - jump[0] + self.dilation * norm(&slip)
+    }
+
+    /// ∂d_f/∂⟦u⟧.
+    pub(crate) fn aperture_gradient(&self, jump: &Local, origin: &Local) -> Local {
+        let slip = [jump[1] - origin[1], jump[2] - origin[2]];
+        let length = norm(&slip);
+        let factor = if length > 0.0 { self.dilation / length } else { 0.0 };
+        [-1.0, factor * slip[0], factor * slip[1]]
+    }
+
+    /// |λ_τ| may not exceed this (Pa) at the normal multiplier λ_n.
+    pub(crate) fn bound(&self, lambda_n: f64) -> f64 {
+        match self.friction {
+            Friction::None => 0.0,
+            Friction::Tresca { bound } => bound,
+            Friction::Coulomb { coefficient, cohesion } => coefficient * lambda_n + cohesion,
+        }
+    }
+
+    fn coefficient(&self) -> f64 {
+        if let Friction::Coulomb { coefficient, .. } = self.friction { coefficient } else { 0.0 }
+    }
+
+    /// b_n, b_τ at a jump and a multiplier.
+    fn augmented(&self, jump: &Local, lambda: &Local, previous: &Local) -> Local {
+        let beta = self.beta;
+        [
+            lambda[0] + beta * (jump[0] - self.compliance * lambda[0]),
+            lambda[1] + beta * (jump[1] - previous[1]),
+            lambda[2] + beta * (jump[2] - previous[2]),
+        ]
+    }
+
+    /// The state at a jump, a multiplier and the jump at the previous time.
+    pub(crate) fn state(&self, jump: &Local, lambda: &Local, previous: &Local) -> ContactState {
+        // Round-off of b_τ: a face at the bound to this part sticks, where slip has no direction of its own.
+        const AT_BOUND: f64 = 1e-12;
+        let b = self.augmented(jump, lambda, previous);
+        if b[0] <= 0.0 {
+            ContactState::Open
+        } else if self.friction != Friction::None && norm(&b[1..]) <= self.bound(b[0]) * (1.0 + AT_BOUND) {
+            ContactState::Stick
+        } else {
+            ContactState::Slip
+        }
+    }
+
+    /// How far jump and multiplier are from the law, as a traction (Pa): the largest component of λ − P(b).
+    pub(crate) fn violation(&self, jump: &Local, lambda: &Local, previous: &Local) -> f64 {
+        let b = self.augmented(jump, lambda, previous);
+        let mut target = [0.0; 3];
+        if b[0] > 0.0 {
+            target[0] = b[0];
+            let (length, bound) = (norm(&b[1..]), self.bound(b[0]));
+            let factor = if length <= bound { 1.0 } else { bound / length };
+            target[1] = factor * b[1];
+            target[2] = factor * b[2];
+        }
+        (0..3).map(|c| (lambda[c] - target[c]).abs()).fold(0.0, f64::max)
+    }
+
+    /// The law linearised at a jump and a multiplier, in a given state.
+    ///
+    /// The multiplier is eliminated through |σ| λ = r − S g − |σ| c(g) n, where c(g) = −S_f d_f(g) is the part of the
+    /// fracture pressure that follows the aperture.
+    pub(crate) fn linearise(
+        &self,
+        dim: usize,
+        state: ContactState,
+        jump: &Local,
+        lambda: &Local,
+        previous: &Local,
+        partner: &FacePartner,
+        origin: &Local,
+    ) -> Linearised {
+        let size = self.measure;
+        let mut law = Linearised::default();
+        // |σ| c(g) ≈ c0 + dc·g
+        let slope = self.aperture_gradient(jump, origin).map(|g| -size * partner.stiffness * g);
+        let value = -size * partner.stiffness * self.aperture(jump, origin);
+        let offset = value - (0..3).map(|j| slope[j] * jump[j]).sum::<f64>();
+        let normal_row = |law: &mut Linearised, stiffness: f64| {
+            law.t[0][0] = 1.0;
+            law.h[0] = slope;
+            law.h[0][0] += stiffness;
+            law.h0[0] = offset;
+        };
+        match state {
+            ContactState::Open => {
+                normal_row(&mut law, 0.0);
+                for c in 1..dim {
+                    law.t[c][c] = 1.0;
+                }
+            }
+            ContactState::Stick | ContactState::Slip => {
+                if self.compliance > 0.0 {
+                    normal_row(&mut law, size / self.compliance);
+                } else {
+                    law.given[0] = Some(0.0);
+                }
+                if state == ContactState::Stick {
+                    for c in 1..dim {
+                        law.given[c] = Some(previous[c]);
+                    }
+                } else {
+                    let b = self.augmented(jump, lambda, previous);
+                    let length = norm(&b[1..]);
+                    let e = if length > 0.0 { [b[1] / length, b[2] / length] } else { [0.0; 2] };
+                    // λ_τ = bound e + κ (1 − e eᵀ) δg_τ: the exact derivative of bound b_τ/|b_τ|, solved for λ_τ.
+                    let ratio = if length > 0.0 { self.bound(b[0]) / length } else { 0.0 };
+                    let kappa = self.beta * ratio / (1.0 - ratio);
+                    let f = self.coefficient();
+                    let fixed_bound = self.bound(0.0);
+                    for i in 1..dim {
+                        let ei = e[i - 1];
+                        law.t[i][i] = 1.0;
+                        law.t[i][0] = -f * ei;
+                        law.h0[i] = size * fixed_bound * ei - f * ei * offset;
+                        for j in 0..dim {
+                            law.h[i][j] = -f * ei * slope[j];
+                        }
+                        for j in 1..dim {
+                            let across = size * kappa * (f64::from(i == j) - ei * e[j - 1]);
+                            law.h[i][j] += across;
+                            law.h0[i] -= across * previous[j];
+                        }
+                    }
+                }
+            }
+        }
+        law
+    }
+}

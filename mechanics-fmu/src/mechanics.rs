@@ -1,0 +1,726 @@
+//! The mechanical problem in time: states, steps, and what they give.
+
+use std::sync::Arc;
+
+use linear::{Forward, Scratch};
+use mesh::{Mesh, Vec3};
+use rayon::prelude::*;
+
+use crate::contact::{ContactState, Face, FacePartner, Local};
+use crate::error::{MechanicsError, ModelProblem};
+use crate::model::Model;
+use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport};
+use crate::space::Space;
+use crate::system::{System, boundary_nodes};
+
+/// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Partner {
+    /// Matrix pressure p_m* (Pa): cells.
+    pub matrix_pressure: Vec<f64>,
+    /// Fracture pressure p_f* (Pa): fracture faces.
+    pub fracture_pressure: Vec<f64>,
+    /// How pressures answer to deformation; `None` where they are given.
+    pub response: Option<PartnerResponse>,
+}
+
+/// The part of [`Partner`] that makes pressures follow the deformation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PartnerResponse {
+    /// S ≥ 0 (Pa): cells.
+    pub matrix_pressure_stiffness: Vec<f64>,
+    /// Porosity change φ* at which p_m* holds: cells.
+    pub porosity_change: Vec<f64>,
+    /// S_f ≥ 0 (Pa/m): fracture faces.
+    pub fracture_pressure_stiffness: Vec<f64>,
+    /// Aperture d_f* (m) at which p_f* holds: fracture faces.
+    pub aperture: Vec<f64>,
+}
+
+impl Partner {
+    /// The same pressure (Pa) in the matrix and in the fractures.
+    pub fn uniform(mesh: &Mesh, pressure: f64) -> Self {
+        Self {
+            matrix_pressure: vec![pressure; mesh.cell_count()],
+            fracture_pressure: vec![pressure; mesh.network().face_count()],
+            response: None,
+        }
+    }
+}
+
+/// A mechanical equilibrium at a time. It is all that the next one depends on.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Time (s).
+    pub time: f64,
+    /// All unknowns in the numbering of [`Space`] (m).
+    pub unknowns: Vec<f64>,
+    /// Multiplier λ = −T⁺ (Pa) in the basis of each face: fracture faces × d.
+    pub multiplier: Vec<f64>,
+    /// State of each fracture face.
+    pub contact: Vec<ContactState>,
+    /// div u at the initial state, from which porosity changes count: cells.
+    pub initial_divergence: Vec<f64>,
+    /// Jump at the initial state (m), from which the slip of dilation counts: fracture faces × d.
+    pub initial_jump: Vec<f64>,
+    pub(crate) factor: Option<Arc<FaceFactor>>,
+    pub(crate) history: Linearisation,
+}
+
+/// What the linearised response at a state needs to know of the step that led to it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Linearisation {
+    previous_jump: Vec<f64>,
+    partners: Vec<FacePartner>,
+}
+
+/// Terms of the energy balance of a step (J, per metre of thickness in 2D).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Energy {
+    /// Elastic energy ½ a(u,u), stabilisation included, at the end of the step.
+    pub elastic: f64,
+    /// Work of tractions, body forces and prescribed displacements during the step, forces at their end values.
+    pub external_work: f64,
+    /// Work of the pressures during the step, pressures at their end values.
+    pub pressure_work: f64,
+    /// Dissipation of friction ∫ λ_τ·δ⟦u⟧_τ during the step; ≥ 0 up to the solver's tolerance.
+    pub friction: f64,
+}
+
+/// What a step took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// Work of Newton's method.
+    pub newton: NewtonReport,
+    /// Largest violation of a contact law (Pa).
+    pub violation: f64,
+    /// Largest change of a jump in the last Newton iteration (m).
+    pub change: f64,
+    /// Terms of the energy balance.
+    pub energy: Energy,
+}
+
+/// The result of a step.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// The equilibrium was found.
+    Converged(State, StepReport),
+    /// Newton's method gave up; nothing of it may be used.
+    NotConverged(StepReport),
+}
+
+/// A change of the jump and of what follows from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Response {
+    /// Porosity change: cells.
+    pub porosity_change: Vec<f64>,
+    /// Aperture (m): fracture faces.
+    pub aperture: Vec<f64>,
+    /// Jump (m): fracture faces × d.
+    pub jump: Vec<f64>,
+}
+
+/// Work space of solves.
+#[derive(Default)]
+struct Work {
+    forward: Forward,
+    scratch: Scratch,
+}
+
+/// Static contact mechanics of a fractured rock.
+pub struct Mechanics {
+    mesh: Arc<Mesh>,
+    model: Model,
+    system: System,
+    faces: Vec<Face>,
+    /// The S of the present factorisation; empty for none.
+    stiffness_response: Vec<f64>,
+    work: Work,
+}
+
+impl Mechanics {
+    /// Checks the model against the mesh, assembles and factorises.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Model`] with all that is wrong with the model; [`MechanicsError::Linear`] if the stiffness cannot
+    /// be factorised.
+    pub fn new(mesh: Arc<Mesh>, model: Model) -> Result<Self, MechanicsError> {
+        let mut problems = model.problems(&mesh);
+        let network = mesh.network();
+        let geometry = mesh.geometry();
+        let mut apertures = Vec::new();
+        for (&face, &fracture) in network.faces.iter().zip(&network.fracture) {
+            let name = &mesh.data().fractures[fracture];
+            let Some(law) = model.fractures.get(name) else { continue };
+            let p = geometry.face_center[face];
+            let value = (law.contact_aperture)(p, 0.0);
+            if !(value > 0.0 && value.is_finite()) {
+                let what = format!("the contact aperture of fracture \"{name}\"");
+                let (x, y, z) = (p.x, p.y, p.z);
+                problems.push(ModelProblem::Function { what, x, y, z, time: 0.0, value, allowed: "finite and > 0 m" });
+            }
+            apertures.push((law, value));
+        }
+        if !problems.is_empty() {
+            return Err(MechanicsError::Model(problems));
+        }
+        let system = System::new(&mesh, &model)?;
+        let d = mesh.dim();
+        let faces = (apertures.iter().zip(&network.faces).enumerate())
+            .map(|(i, (&(law, aperture), &face))| {
+                let measure = geometry.face_measure[face];
+                let local = (0..d).map(|c| system.schur[(i * d + c, i * d + c)]).sum::<f64>() / d as f64;
+                Face::new(law, measure, model.newton.beta_factor * local / measure, aperture)
+            })
+            .collect();
+        Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), work: Work::default() })
+    }
+
+    /// The mesh.
+    pub fn mesh(&self) -> &Arc<Mesh> {
+        &self.mesh
+    }
+
+    /// The unknowns.
+    pub fn space(&self) -> &Space {
+        &self.system.space
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Number of factorisations of the bulk so far: one, and one more for each change of the partner's matrix stiffness.
+    pub fn factorisations(&self) -> usize {
+        self.system.factorisations
+    }
+
+    /// Entries in the factor of the bulk.
+    pub fn factor_entries(&self) -> usize {
+        self.system.cholesky.memory().factor_entries
+    }
+
+    /// The body at rest: no displacement, no traction, all fractures in contact.
+    pub fn rest(&self, time: f64) -> State {
+        let jumps = self.faces.len() * self.mesh.dim();
+        State {
+            time,
+            unknowns: vec![0.0; self.mesh.dim() * self.system.space.entity_count()],
+            multiplier: vec![0.0; jumps],
+            contact: vec![ContactState::Stick; self.faces.len()],
+            initial_divergence: vec![0.0; self.mesh.cell_count()],
+            initial_jump: vec![0.0; jumps],
+            factor: None,
+            history: Linearisation {
+                previous_jump: vec![0.0; jumps],
+                partners: vec![FacePartner::default(); self.faces.len()],
+            },
+        }
+    }
+
+    /// Declares a state the initial one, from which porosity changes and the slip of dilation count.
+    pub fn make_initial(&self, state: &mut State) {
+        state.initial_jump = state.jump(&self.system.space).to_vec();
+        state.initial_divergence = self.divergence(state);
+    }
+
+    /// The equilibrium at `time` (s), after `previous`. The result depends on nothing else, to the last bit.
+    ///
+    /// # Errors
+    /// Arrays of the wrong length, values that are not finite, boundary functions that give such, a singular contact
+    /// problem.
+    pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
+        self.check_partner(partner)?;
+        self.follow(partner)?;
+        let d = self.mesh.dim();
+        let loads = self.loads(time)?;
+        let mut rhs = loads.clone();
+        self.add_pressures(partner, previous, &mut rhs)?;
+
+        let mut unknowns = vec![0.0; rhs.len()];
+        for (f, value) in self.system.fixed.iter().zip(self.prescribed(time)?) {
+            unknowns[f.unknown] = value;
+        }
+        let fixed: Vec<f64> = self.system.fixed.iter().map(|f| unknowns[f.unknown]).collect();
+        let mut full = rhs.clone();
+        self.system.fixed_rows.mul_transpose_add(-1.0, &fixed, &mut full)?;
+        let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
+        self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
+
+        let partners = self.face_partners(partner);
+        let previous_jump = previous.jump(&self.system.space);
+        let problem = FractureProblem {
+            dim: d,
+            schur: &self.system.schur,
+            faces: &self.faces,
+            settings: self.model.newton,
+        };
+        let data = FractureData {
+            rhs: self.work.forward.condensed(),
+            previous: previous_jump,
+            origin: &previous.initial_jump,
+            partners: &partners,
+        };
+        let solution =
+            problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
+        let mut report = StepReport {
+            newton: solution.report,
+            violation: solution.violation,
+            change: solution.change,
+            energy: Energy::default(),
+        };
+        if !solution.converged {
+            return Ok(Outcome::NotConverged(report));
+        }
+        let mut x = vec![0.0; b.len()];
+        self.system.cholesky.backward(&self.work.forward, &solution.jump, &mut x, &mut self.work.scratch)?;
+        for (&u, x) in self.system.free.iter().zip(x) {
+            unknowns[u as usize] = x;
+        }
+        let state = State {
+            time,
+            unknowns,
+            multiplier: solution.lambda,
+            contact: solution.states,
+            initial_divergence: previous.initial_divergence.clone(),
+            initial_jump: previous.initial_jump.clone(),
+            factor: solution.factor,
+            history: Linearisation { previous_jump: previous_jump.to_vec(), partners },
+        };
+        report.energy = self.energy(previous, &state, &loads, &rhs)?;
+        Ok(Outcome::Converged(state, report))
+    }
+
+    fn singular(&self, states: &[ContactState]) -> MechanicsError {
+        let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
+        MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
+    }
+
+    fn check_partner(&self, partner: &Partner) -> Result<(), MechanicsError> {
+        let (cells, faces) = (self.mesh.cell_count(), self.faces.len());
+        let check = |field, values: &[f64], expected, not_negative: bool| {
+            if values.len() != expected {
+                return Err(MechanicsError::Length { field, found: values.len(), expected });
+            }
+            let ok = |v: f64| v.is_finite() && (!not_negative || v >= 0.0);
+            match values.iter().position(|&v| !ok(v)) {
+                Some(index) => {
+                    let allowed = if not_negative { "finite and ≥ 0" } else { "finite" };
+                    Err(MechanicsError::Value { field, index, value: values[index], allowed })
+                }
+                None => Ok(()),
+            }
+        };
+        check("matrix pressure", &partner.matrix_pressure, cells, false)?;
+        check("fracture pressure", &partner.fracture_pressure, faces, false)?;
+        if let Some(r) = &partner.response {
+            check("matrix pressure stiffness", &r.matrix_pressure_stiffness, cells, true)?;
+            check("porosity change reference", &r.porosity_change, cells, false)?;
+            check("fracture pressure stiffness", &r.fracture_pressure_stiffness, faces, true)?;
+            check("aperture reference", &r.aperture, faces, false)?;
+        }
+        Ok(())
+    }
+
+    /// Factorises anew if the partner's matrix stiffness is not that of the present factorisation.
+    fn follow(&mut self, partner: &Partner) -> Result<(), MechanicsError> {
+        let wanted = match &partner.response {
+            Some(r) if r.matrix_pressure_stiffness.iter().any(|&s| s != 0.0) => &r.matrix_pressure_stiffness[..],
+            _ => &[],
+        };
+        if self.stiffness_response != wanted {
+            let extra: Vec<f64> = (0..self.mesh.cell_count())
+                .map(|k| wanted.get(k).map_or(0.0, |s| s * self.system.materials[k].biot.powi(2)))
+                .collect();
+            self.stiffness_response = wanted.to_vec();
+            self.system.refactorise(&self.mesh, &extra)?;
+        }
+        Ok(())
+    }
+
+    fn face_partners(&self, partner: &Partner) -> Vec<FacePartner> {
+        match &partner.response {
+            None => vec![FacePartner::default(); self.faces.len()],
+            Some(r) => (r.fracture_pressure_stiffness.iter().zip(&r.aperture))
+                .map(|(&stiffness, &aperture)| FacePartner { offset: stiffness * aperture, stiffness })
+                .collect(),
+        }
+    }
+
+    /// Tractions and body forces at a time, over all unknowns (N).
+    fn loads(&self, time: f64) -> Result<Vec<f64>, MechanicsError> {
+        let d = self.mesh.dim();
+        let geometry = self.mesh.geometry();
+        let mut f = vec![0.0; d * self.system.space.entity_count()];
+        let finite = |what: &str, p: Vec3, value: Vec3| {
+            if value.is_finite() {
+                return Ok(());
+            }
+            let (x, y, z) = (p.x, p.y, p.z);
+            let value = value.to_array().into_iter().find(|v| !v.is_finite()).unwrap_or(f64::NAN);
+            let problem = ModelProblem::Function { what: what.into(), x, y, z, time, value, allowed: "finite" };
+            Err(MechanicsError::Model(vec![problem]))
+        };
+        if let Some(force) = &self.model.body_force {
+            for cell in 0..self.mesh.cell_count() {
+                let p = geometry.cell_center[cell];
+                let value = force(p, time);
+                finite("the body force", p, value)?;
+                let weights = &geometry.cell_weight[self.mesh.cell_vertex_lists().range(cell)];
+                for (&node, w) in self.mesh.nodes().of_cell(cell).iter().zip(weights) {
+                    for c in 0..d {
+                        f[node * d + c] += geometry.cell_measure[cell] * w * value[c];
+                    }
+                }
+            }
+        }
+        for condition in &self.model.neumann {
+            for face in self.mesh.tagged_faces(&condition.tag) {
+                let p = geometry.face_center[face];
+                let value = (condition.traction)(p, time);
+                finite(&format!("the traction on \"{}\"", condition.tag), p, value)?;
+                let weights = &geometry.face_weight[self.mesh.data().faces.range(face)];
+                for (node, w) in boundary_nodes(&self.mesh, face).zip(weights) {
+                    for c in 0..d {
+                        f[node * d + c] += geometry.face_measure[face] * w * value[c];
+                    }
+                }
+            }
+        }
+        Ok(f)
+    }
+
+    fn prescribed(&self, time: f64) -> Result<Vec<f64>, MechanicsError> {
+        (self.system.fixed.iter())
+            .map(|f| {
+                let value = (f.value)(f.point, time);
+                if value.is_finite() {
+                    return Ok(value);
+                }
+                let what = format!("the displacement on {}", f.place);
+                let Vec3 { x, y, z } = f.point;
+                let problem = ModelProblem::Function { what, x, y, z, time, value, allowed: "finite" };
+                Err(MechanicsError::Model(vec![problem]))
+            })
+            .collect()
+    }
+
+    /// Adds the pressures' part to a right-hand side; where they follow the deformation, the part that does not depend
+    /// on it.
+    fn add_pressures(&self, partner: &Partner, state: &State, rhs: &mut [f64]) -> Result<(), MechanicsError> {
+        let measures = &self.mesh.geometry().cell_measure;
+        let mut weighted: Vec<f64> = partner.matrix_pressure.clone();
+        if let Some(r) = &partner.response {
+            for (k, p) in weighted.iter_mut().enumerate() {
+                let initial = self.system.materials[k].biot * state.initial_divergence[k];
+                *p += r.matrix_pressure_stiffness[k] * (r.porosity_change[k] + initial);
+            }
+        }
+        for (k, p) in weighted.iter_mut().enumerate() {
+            *p *= measures[k] * self.system.materials[k].biot;
+        }
+        self.system.divergence.mul_transpose_add(1.0, &weighted, rhs)?;
+        let partners = self.face_partners(partner);
+        for (i, face) in self.faces.iter().enumerate() {
+            rhs[self.normal_jump(i)] -= face.measure * (partner.fracture_pressure[i] + partners[i].offset);
+        }
+        Ok(())
+    }
+
+    fn normal_jump(&self, face: usize) -> usize {
+        (self.system.space.first_jump() + face) * self.mesh.dim()
+    }
+
+    /// div_K u of each cell.
+    pub fn divergence(&self, state: &State) -> Vec<f64> {
+        let mut div = vec![0.0; self.mesh.cell_count()];
+        // The lengths agree by construction of the state.
+        let _ = self.system.divergence.mul_add(1.0, &state.unknowns, &mut div);
+        div
+    }
+
+    /// b (div u − div u at the initial state) of each cell.
+    pub fn porosity_change(&self, state: &State) -> Vec<f64> {
+        let mut div = self.divergence(state);
+        for (k, v) in div.iter_mut().enumerate() {
+            *v = self.system.materials[k].biot * (*v - state.initial_divergence[k]);
+        }
+        div
+    }
+
+    fn local(&self, v: &[f64], face: usize) -> Local {
+        let d = self.mesh.dim();
+        let mut out = [0.0; 3];
+        out[..d].copy_from_slice(&v[face * d..][..d]);
+        out
+    }
+
+    /// Aperture d_f = d_c − ⟦u⟧_n + tan ψ |⟦u − u⁰⟧_τ| (m) of each fracture face.
+    pub fn aperture(&self, state: &State) -> Vec<f64> {
+        let jump = state.jump(&self.system.space);
+        (0..self.faces.len())
+            .map(|i| self.faces[i].aperture(&self.local(jump, i), &self.local(&state.initial_jump, i)))
+            .collect()
+    }
+
+    /// Largest |λ_τ|/bound of a face that a state reaches, per face; 0 where open. 1 means slip.
+    pub fn slip_tendency(&self, state: &State) -> Vec<f64> {
+        (0..self.faces.len())
+            .map(|i| {
+                let l = self.local(&state.multiplier, i);
+                let (shear, bound) = (l[1].hypot(l[2]), self.faces[i].bound(l[0]));
+                if shear == 0.0 { 0.0 } else { shear / bound }
+            })
+            .collect()
+    }
+
+    /// b²/K_dr of each cell (1/Pa): how the porosity of a free body answers to pressure.
+    pub fn porosity_compliance(&self) -> Vec<f64> {
+        self.system.materials.iter().map(|m| m.biot.powi(2) / m.bulk_modulus).collect()
+    }
+
+    /// Floor of the aperture compliance (m/Pa): L_f/E′, L_f the extent of the face's fracture.
+    pub fn aperture_compliance_scale(&self) -> Vec<f64> {
+        let network = self.mesh.network();
+        let names = &self.mesh.data().fractures;
+        let mut bounds = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); names.len()];
+        for (&face, &fracture) in network.faces.iter().zip(&network.fracture) {
+            for &v in self.mesh.face_vertices(face) {
+                let (low, high) = &mut bounds[fracture];
+                *low = low.min(self.mesh.vertices()[v]);
+                *high = high.max(self.mesh.vertices()[v]);
+            }
+        }
+        (network.faces.iter().zip(&network.fracture))
+            .map(|(&face, &fracture)| {
+                let (low, high) = bounds[fracture];
+                let cell = self.mesh.face_cells(face).0;
+                low.distance(high) / self.system.materials[cell].plane_strain_modulus
+            })
+            .collect()
+    }
+
+    /// How jump, aperture and porosity at a state answer to a change of the pressures, at fixed contact states:
+    /// one linearised solve.
+    ///
+    /// # Errors
+    /// Arrays of the wrong length; a singular contact problem.
+    pub fn response(
+        &mut self,
+        state: &State,
+        matrix_pressure: &[f64],
+        fracture_pressure: &[f64],
+    ) -> Result<Response, MechanicsError> {
+        let change = Partner {
+            matrix_pressure: matrix_pressure.to_vec(),
+            fracture_pressure: fracture_pressure.to_vec(),
+            response: None,
+        };
+        self.check_partner(&change)?;
+        let mut full = vec![0.0; state.unknowns.len()];
+        self.add_pressures(&change, state, &mut full)?;
+        let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
+        self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
+        let jump = self.jump_response(state, self.work.forward.condensed())?;
+        let mut x = vec![0.0; b.len()];
+        self.system.cholesky.backward(&self.work.forward, &jump, &mut x, &mut self.work.scratch)?;
+        full.fill(0.0);
+        for (&u, x) in self.system.free.iter().zip(x) {
+            full[u as usize] = x;
+        }
+        let mut porosity_change = vec![0.0; self.mesh.cell_count()];
+        self.system.divergence.mul_add(1.0, &full, &mut porosity_change)?;
+        for (p, m) in porosity_change.iter_mut().zip(&self.system.materials) {
+            *p *= m.biot;
+        }
+        Ok(Response { porosity_change, aperture: self.aperture_response(state, &jump), jump })
+    }
+
+    /// ∂d_f/∂p_f (m/Pa) of each face as a uniform change of fracture pressure shows it, at fixed contact states: a solve
+    /// on the fracture only. Closed rigid faces give 0; negative values are possible.
+    ///
+    /// # Errors
+    /// A singular contact problem.
+    pub fn aperture_compliance(&self, state: &State) -> Result<Vec<f64>, MechanicsError> {
+        let d = self.mesh.dim();
+        let mut change = vec![0.0; self.faces.len() * d];
+        for (i, face) in self.faces.iter().enumerate() {
+            change[i * d] = -face.measure;
+        }
+        let jump = self.jump_response(state, &change)?;
+        Ok(self.aperture_response(state, &jump))
+    }
+
+    fn aperture_response(&self, state: &State, change: &[f64]) -> Vec<f64> {
+        let jump = state.jump(&self.system.space);
+        (0..self.faces.len())
+            .map(|i| {
+                let gradient =
+                    self.faces[i].aperture_gradient(&self.local(jump, i), &self.local(&state.initial_jump, i));
+                gradient.iter().zip(self.local(change, i)).map(|(g, c)| g * c).sum()
+            })
+            .collect()
+    }
+
+    /// The change of the jump for a change of the condensed right-hand side.
+    fn jump_response(&self, state: &State, change: &[f64]) -> Result<Vec<f64>, MechanicsError> {
+        let problem = FractureProblem {
+            dim: self.mesh.dim(),
+            schur: &self.system.schur,
+            faces: &self.faces,
+            settings: self.model.newton,
+        };
+        let data = FractureData {
+            rhs: change,
+            previous: &state.history.previous_jump,
+            origin: &state.initial_jump,
+            partners: &state.history.partners,
+        };
+        let jump = state.jump(&self.system.space);
+        let laws = problem.linearise(&data, &state.contact, jump, &state.multiplier);
+        problem.response(&laws, &mut state.factor.clone(), change).map_err(|_| self.singular(&state.contact))
+    }
+
+    /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
+    ///
+    /// # Errors
+    /// A pressure field of the wrong length.
+    pub fn stress(&self, state: &State, matrix_pressure: &[f64]) -> Result<Vec<[f64; 6]>, MechanicsError> {
+        let expected = self.mesh.cell_count();
+        if matrix_pressure.len() != expected {
+            return Err(MechanicsError::Length { field: "matrix pressure", found: matrix_pressure.len(), expected });
+        }
+        let gradients = self.displacement_gradient(state);
+        Ok((gradients.iter().zip(&self.system.materials).zip(matrix_pressure))
+            .map(|((g, m), p)| {
+                let isotropic = m.lambda * (g[0][0] + g[1][1] + g[2][2]) - m.biot * p;
+                let normal = |i: usize| 2.0 * m.mu * g[i][i] + isotropic;
+                let shear = |i: usize, j: usize| m.mu * (g[i][j] + g[j][i]);
+                [normal(0), normal(1), normal(2), shear(0, 1), shear(1, 2), shear(0, 2)]
+            })
+            .collect())
+    }
+
+    /// ∇^K u of each cell, row i being the gradient of component i.
+    pub fn displacement_gradient(&self, state: &State) -> Vec<[Vec3; 3]> {
+        let d = self.mesh.dim();
+        let space = &self.system.space;
+        (0..self.mesh.cell_count())
+            .into_par_iter()
+            .map(|cell| {
+                let operators = space.operators(&self.mesh, cell);
+                let mut gradient = [Vec3::ZERO; 3];
+                let values = self.function_values(state, cell);
+                for (g, v) in operators.gradient.iter().zip(values.chunks_exact(d)) {
+                    for c in 0..d {
+                        gradient[c] += v[c] * *g;
+                    }
+                }
+                gradient
+            })
+            .collect()
+    }
+
+    /// Mean displacement Π^K u(x_K) = Σ_s ω_s^K u_Ks (m) of each cell.
+    pub fn cell_displacement(&self, state: &State) -> Vec<Vec3> {
+        let d = self.mesh.dim();
+        let weights = &self.mesh.geometry().cell_weight;
+        (0..self.mesh.cell_count())
+            .map(|cell| {
+                let mut mean = [0.0; 3];
+                let range = self.mesh.cell_vertex_lists().range(cell);
+                for (&node, w) in self.mesh.nodes().of_cell(cell).iter().zip(&weights[range]) {
+                    for c in 0..d {
+                        mean[c] += w * state.unknowns[node * d + c];
+                    }
+                }
+                Vec3::from_array(mean)
+            })
+            .collect()
+    }
+
+    /// The values of a cell's functions, nodes and then bubbles (m): functions × d.
+    fn function_values(&self, state: &State, cell: usize) -> Vec<f64> {
+        let d = self.mesh.dim();
+        let unknowns = self.system.space.unknowns(&self.mesh, cell);
+        let own: Vec<f64> = (unknowns.entities.iter())
+            .flat_map(|&e| state.unknowns[e as usize * d..][..d].iter().copied())
+            .collect();
+        match &unknowns.bubbles {
+            None => own,
+            Some(p) => p.chunks_exact(own.len()).map(|row| row.iter().zip(&own).map(|(p, v)| p * v).sum()).collect(),
+        }
+    }
+
+    /// The terms of the energy balance of a step. `loads` are the forces without, `rhs` with the pressures' given part.
+    fn energy(
+        &self,
+        previous: &State,
+        state: &State,
+        loads: &[f64],
+        rhs: &[f64],
+    ) -> Result<Energy, MechanicsError> {
+        let d = self.mesh.dim();
+        // The pressures' actual forces: those given, less what follows the deformation.
+        let mut pressure: Vec<f64> = rhs.iter().zip(loads).map(|(r, l)| r - l).collect();
+        if !self.stiffness_response.is_empty() {
+            let div = self.divergence(state);
+            let weighted: Vec<f64> = (0..div.len())
+                .map(|k| {
+                    let biot = self.system.materials[k].biot;
+                    self.mesh.geometry().cell_measure[k] * biot * biot * self.stiffness_response[k] * div[k]
+                })
+                .collect();
+            self.system.divergence.mul_transpose_add(-1.0, &weighted, &mut pressure)?;
+        }
+        for (i, aperture) in self.aperture(state).iter().enumerate() {
+            let follows = state.history.partners[i].stiffness * aperture;
+            pressure[self.normal_jump(i)] += self.faces[i].measure * follows;
+        }
+        // Where an unknown is free, A ũ = f − |σ| λ: no product with A is needed.
+        let mut forces: Vec<f64> = loads.iter().zip(&pressure).map(|(l, p)| l + p).collect();
+        let mut reactions = vec![0.0; self.system.fixed.len()];
+        self.system.fixed_rows.mul_add(1.0, &state.unknowns, &mut reactions)?;
+        let mut external = loads.to_vec();
+        for (f, reaction) in self.system.fixed.iter().zip(reactions) {
+            // The rows of A hold the stiffness that makes pressures follow; `rhs` has what balances it.
+            let force = reaction - rhs[f.unknown];
+            forces[f.unknown] += force;
+            external[f.unknown] += force;
+        }
+        let first = self.system.space.first_jump() * d;
+        let mut friction = 0.0;
+        for (i, face) in self.faces.iter().enumerate() {
+            for c in 0..d {
+                let at = i * d + c;
+                let work = face.measure * state.multiplier[at];
+                forces[first + at] -= work;
+                if c > 0 {
+                    friction += work * (state.unknowns[first + at] - previous.unknowns[first + at]);
+                }
+            }
+        }
+        let change = |f: &[f64]| -> f64 {
+            (f.iter().zip(&state.unknowns).zip(&previous.unknowns)).map(|((f, u), v)| f * (u - v)).sum()
+        };
+        Ok(Energy {
+            elastic: 0.5 * forces.iter().zip(&state.unknowns).map(|(f, u)| f * u).sum::<f64>(),
+            external_work: change(&external),
+            pressure_work: change(&pressure),
+            friction,
+        })
+    }
+}
+
+impl State {
+    /// Jump ⟦u⟧ (m) in the basis (n⁺, t₁[, t₂]) of each face: fracture faces × d.
+    pub fn jump(&self, space: &Space) -> &[f64] {
+        &self.unknowns[space.first_jump() * space.dim()..]
+    }
+
+    /// Number of faces in a contact state.
+    pub fn count(&self, wanted: ContactState) -> usize {
+        self.contact.iter().filter(|&&s| s == wanted).count()
+    }
+}

@@ -1,0 +1,268 @@
+//! What a mechanical problem consists of, apart from its mesh.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mesh::{Mesh, Vec3};
+
+use crate::error::ModelProblem;
+
+/// A scalar function of the position (m) and the time (s).
+pub type ScalarFunction = Arc<dyn Fn(Vec3, f64) -> f64 + Send + Sync>;
+/// A vector function of the position (m) and the time (s); in 2D its z component is not looked at.
+pub type VectorFunction = Arc<dyn Fn(Vec3, f64) -> Vec3 + Send + Sync>;
+
+/// Linear elastic, porous rock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Young's modulus E of the drained rock (Pa), > 0.
+    pub young_modulus: f64,
+    /// Poisson's ratio ν of the drained rock, in (−1, ½).
+    pub poisson_ratio: f64,
+    /// Biot coefficient b, in [0, 1].
+    pub biot_coefficient: f64,
+}
+
+impl Material {
+    /// From Lamé's parameters λ and μ (Pa).
+    pub fn from_lame(lambda: f64, mu: f64, biot_coefficient: f64) -> Self {
+        Self {
+            young_modulus: mu * (3.0 * lambda + 2.0 * mu) / (lambda + mu),
+            poisson_ratio: 0.5 * lambda / (lambda + mu),
+            biot_coefficient,
+        }
+    }
+
+    /// Lamé's first parameter λ (Pa); two dimensions are plane strain.
+    pub fn lambda(&self) -> f64 {
+        let nu = self.poisson_ratio;
+        self.young_modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    }
+
+    /// Shear modulus μ (Pa).
+    pub fn mu(&self) -> f64 {
+        0.5 * self.young_modulus / (1.0 + self.poisson_ratio)
+    }
+
+    /// Drained bulk modulus K_dr = λ + 2μ/d (Pa) in `dim` dimensions.
+    pub fn bulk_modulus(&self, dim: usize) -> f64 {
+        self.lambda() + 2.0 * self.mu() / dim as f64
+    }
+
+    /// Plane-strain modulus E′ = E/(1 − ν²) (Pa).
+    pub fn plane_strain_modulus(&self) -> f64 {
+        self.young_modulus / (1.0 - self.poisson_ratio.powi(2))
+    }
+}
+
+/// The bound that a fracture sets to the tangential traction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Friction {
+    /// |T_τ| = 0.
+    None,
+    /// |T_τ| ≤ bound.
+    Tresca {
+        /// The bound (Pa), ≥ 0.
+        bound: f64,
+    },
+    /// |T_τ| ≤ cohesion − F T_n.
+    Coulomb {
+        /// Friction coefficient F ≥ 0.
+        coefficient: f64,
+        /// Cohesion (Pa), ≥ 0.
+        cohesion: f64,
+    },
+}
+
+/// How a fracture behaves.
+#[derive(Clone)]
+pub struct FractureLaw {
+    /// The friction law.
+    pub friction: Friction,
+    /// Dilation angle ψ (rad), in [0, π/2): the aperture grows by tan ψ times the slip.
+    pub dilation_angle: f64,
+    /// Normal stiffness k_n > 0 (Pa/m) of the closed fracture, λ_n = k_n ⟦u⟧_n; `None` where it is rigid.
+    pub normal_stiffness: Option<f64>,
+    /// Aperture in contact d_c > 0 (m), at the centre of each face; the time is 0.
+    pub contact_aperture: ScalarFunction,
+}
+
+impl FractureLaw {
+    /// Coulomb friction without cohesion, no dilation, rigid in contact.
+    pub fn coulomb(coefficient: f64, contact_aperture: f64) -> Self {
+        Self {
+            friction: Friction::Coulomb { coefficient, cohesion: 0.0 },
+            dilation_angle: 0.0,
+            normal_stiffness: None,
+            contact_aperture: Arc::new(move |_, _| contact_aperture),
+        }
+    }
+}
+
+/// Where Dirichlet data hold.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Place {
+    /// All nodes on the boundary faces with this tag.
+    Tag(String),
+    /// The nodes of the vertex nearest to this point (m).
+    Point(Vec3),
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Tag(tag) => write!(f, "boundary \"{tag}\""),
+            Self::Point(p) => write!(f, "the point ({}, {}, {})", p.x, p.y, p.z),
+        }
+    }
+}
+
+/// A prescribed component of the displacement.
+#[derive(Clone)]
+pub struct Dirichlet {
+    /// Where.
+    pub place: Place,
+    /// Which component, 0 for x.
+    pub component: usize,
+    /// Its value (m).
+    pub value: ScalarFunction,
+}
+
+/// A prescribed traction σ_T n on the outer boundary.
+#[derive(Clone)]
+pub struct Neumann {
+    /// Boundary tag.
+    pub tag: String,
+    /// The traction (Pa).
+    pub traction: VectorFunction,
+}
+
+/// On which sides of a fracture face the displacement has a bubble.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Bubbles {
+    /// On the plus side.
+    #[default]
+    OneSided,
+    /// On both sides.
+    TwoSided,
+}
+
+/// Settings of the semi-smooth Newton method.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewtonSettings {
+    /// β > 0 of the complementarity functions as a factor on E_max/h of each face; the iterates hardly depend on it.
+    pub beta_factor: f64,
+    /// Newton iterations before a time step is given up.
+    pub max_iterations: usize,
+    /// The jump may change by at most this part of the largest jump in the last iteration, and contact laws may be
+    /// violated by this part of the largest traction.
+    pub tolerance: f64,
+}
+
+impl Default for NewtonSettings {
+    fn default() -> Self {
+        Self { beta_factor: 0.01, max_iterations: 60, tolerance: 1e-9 }
+    }
+}
+
+/// A mechanical problem, apart from its mesh. Names refer to those of the mesh.
+#[derive(Clone, Default)]
+pub struct Model {
+    /// The rock of each region.
+    pub materials: BTreeMap<String, Material>,
+    /// The law of each fracture.
+    pub fractures: BTreeMap<String, FractureLaw>,
+    /// Prescribed displacements; where several give the same component of a node, the last holds.
+    pub dirichlet: Vec<Dirichlet>,
+    /// Prescribed tractions; elsewhere σ_T n = 0. Those on one tag add up.
+    pub neumann: Vec<Neumann>,
+    /// Body force (N/m³).
+    pub body_force: Option<VectorFunction>,
+    /// Bubbles on one or both sides.
+    pub bubbles: Bubbles,
+    /// Settings of Newton's method.
+    pub newton: NewtonSettings,
+}
+
+impl Model {
+    /// Everything in the model that is out of range or does not fit the mesh.
+    pub(crate) fn problems(&self, mesh: &Mesh) -> Vec<ModelProblem> {
+        let mut problems = Vec::new();
+        let data = mesh.data();
+        for (name, m) in &self.materials {
+            let mut check = |ok: bool, parameter, value, allowed| {
+                if !ok {
+                    problems.push(ModelProblem::Parameter { place: format!("region \"{name}\""), parameter, value, allowed });
+                }
+            };
+            let Material { young_modulus: e, poisson_ratio: nu, biot_coefficient: b } = *m;
+            check(e > 0.0 && e.is_finite(), "young_modulus", e, "finite and > 0 Pa");
+            check(nu > -1.0 && nu < 0.5, "poisson_ratio", nu, "between −1 and 0.5, both excluded");
+            check((0.0..=1.0).contains(&b), "biot_coefficient", b, "between 0 and 1");
+        }
+        for (name, law) in &self.fractures {
+            let mut check = |ok: bool, parameter, value, allowed| {
+                if !ok {
+                    let place = format!("fracture \"{name}\"");
+                    problems.push(ModelProblem::Parameter { place, parameter, value, allowed });
+                }
+            };
+            let not_negative = |v: f64| v >= 0.0 && v.is_finite();
+            match law.friction {
+                Friction::None => {}
+                Friction::Tresca { bound } => check(not_negative(bound), "bound", bound, "finite and ≥ 0 Pa"),
+                Friction::Coulomb { coefficient, cohesion } => {
+                    check(not_negative(coefficient), "friction coefficient", coefficient, "finite and ≥ 0");
+                    check(not_negative(cohesion), "cohesion", cohesion, "finite and ≥ 0 Pa");
+                }
+            }
+            let angle = law.dilation_angle;
+            let right = std::f64::consts::FRAC_PI_2;
+            check((0.0..right).contains(&angle), "dilation_angle", angle, "at least 0 and less than π/2");
+            if let Some(k) = law.normal_stiffness {
+                check(k > 0.0 && k.is_finite(), "normal_stiffness", k, "finite and > 0 Pa/m");
+            }
+        }
+        let n = &self.newton;
+        let mut check = |ok: bool, parameter, value, allowed| {
+            if !ok {
+                problems.push(ModelProblem::Parameter { place: "newton".into(), parameter, value, allowed });
+            }
+        };
+        check(n.beta_factor > 0.0 && n.beta_factor.is_finite(), "beta_factor", n.beta_factor, "finite and > 0");
+        check(n.max_iterations > 0, "max_iterations", n.max_iterations as f64, "at least 1");
+        check(n.tolerance > 0.0 && n.tolerance < 1.0, "tolerance", n.tolerance, "between 0 and 1, both excluded");
+
+        let mut name = |kind, name: &str, fault, names: &[String]| {
+            let known = if names.is_empty() { "none".into() } else { names.join(", ") };
+            problems.push(ModelProblem::Name { kind, name: name.into(), fault, known });
+        };
+        for region in data.regions.iter().filter(|r| !self.materials.contains_key(*r)) {
+            name("region", region, "has no material", &data.regions);
+        }
+        for region in self.materials.keys().filter(|r| !data.regions.contains(r)) {
+            name("region", region, "has a material, but does not exist", &data.regions);
+        }
+        for fracture in data.fractures.iter().filter(|f| !self.fractures.contains_key(*f)) {
+            name("fracture", fracture, "has no law", &data.fractures);
+        }
+        for fracture in self.fractures.keys().filter(|f| !data.fractures.contains(f)) {
+            name("fracture", fracture, "has a law, but does not exist", &data.fractures);
+        }
+        for d in &self.dirichlet {
+            if let Place::Tag(tag) = &d.place
+                && mesh.tagged_faces(tag).next().is_none()
+            {
+                name("boundary", tag, "has Dirichlet data, but no face", &data.tags);
+            }
+        }
+        for d in self.neumann.iter().filter(|d| mesh.tagged_faces(&d.tag).next().is_none()) {
+            name("boundary", &d.tag, "has a traction, but no face", &data.tags);
+        }
+        for d in self.dirichlet.iter().filter(|d| d.component >= mesh.dim()) {
+            let (component, dim) = (d.component, mesh.dim());
+            problems.push(ModelProblem::Component { place: d.place.to_string(), component, dim });
+        }
+        problems
+    }
+}

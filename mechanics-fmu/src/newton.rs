@@ -1,0 +1,456 @@
+//! Semi-smooth Newton's method for the contact problem, condensed to the fracture.
+//!
+//! With all unknowns but the jumps g eliminated, the balance of forces on fracture face σ reads
+//!
+//! ```text
+//! (S g)_σ + |σ| (λ_σ + c_σ(g) n) = r_σ
+//! ```
+//!
+//! S is dense, symmetric positive definite and constant; its cost is that of the last block of the one factorisation.
+//! A Newton iteration decides the contact states from g and λ, linearises the laws (see [`crate::contact`]), and solves
+//! for the components of g that the states leave unknown, by GMRES with a dense LU factorisation as preconditioner that is
+//! kept as long as few iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
+//!
+//! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
+//! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use faer::linalg::solvers::{PartialPivLu, Solve};
+use faer::{Mat, Par};
+
+use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
+use crate::model::NewtonSettings;
+
+/// Relative accuracy of the linear solves: well below Newton's tolerance.
+const LINEAR_TOLERANCE: f64 = 1e-11;
+/// Restart length and limit of GMRES.
+const KRYLOV: usize = 60;
+/// The preconditioner is renewed when a solve needed more iterations than this: about what renewing it costs.
+const RENEW_ABOVE: usize = 12;
+/// Gauss–Seidel sweeps after a cycle.
+const SWEEPS: usize = 5;
+
+/// The contact problem on all fracture faces.
+pub(crate) struct FractureProblem<'a> {
+    pub(crate) dim: usize,
+    pub(crate) schur: &'a Mat<f64>,
+    pub(crate) faces: &'a [Face],
+    pub(crate) settings: NewtonSettings,
+}
+
+/// Where Newton's method starts, and the data of the time step.
+pub(crate) struct FractureData<'a> {
+    /// Condensed right-hand side (N): faces × d.
+    pub(crate) rhs: &'a [f64],
+    /// Jump at the previous time (m): faces × d.
+    pub(crate) previous: &'a [f64],
+    /// Slip is counted from here (m): faces × d.
+    pub(crate) origin: &'a [f64],
+    pub(crate) partners: &'a [FacePartner],
+}
+
+/// A dense LU factorisation of the linearised problem at some earlier states.
+pub(crate) struct FaceFactor {
+    laws: Vec<Linearised>,
+    lu: PartialPivLu<f64>,
+}
+
+impl std::fmt::Debug for FaceFactor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("FaceFactor").field("faces", &self.laws.len()).finish_non_exhaustive()
+    }
+}
+
+/// What Newton's method did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NewtonReport {
+    /// Newton iterations.
+    pub iterations: usize,
+    /// GMRES iterations, all together.
+    pub linear_iterations: usize,
+    /// Dense factorisations on the fracture.
+    pub face_factorisations: usize,
+    /// Times that the contact states cycled and Gauss–Seidel sweeps were made.
+    pub cycles: usize,
+}
+
+pub(crate) struct FractureSolution {
+    pub(crate) jump: Vec<f64>,
+    pub(crate) lambda: Vec<f64>,
+    pub(crate) states: Vec<ContactState>,
+    pub(crate) factor: Option<Arc<FaceFactor>>,
+    pub(crate) report: NewtonReport,
+    pub(crate) converged: bool,
+    /// Largest violation of a contact law (Pa) and largest change of the jump (m) in the last iteration.
+    pub(crate) violation: f64,
+    pub(crate) change: f64,
+}
+
+/// The linearised problem cannot be solved.
+pub(crate) struct SingularFracture;
+
+impl FractureProblem<'_> {
+    fn local(&self, v: &[f64], face: usize) -> Local {
+        let mut out = [0.0; 3];
+        out[..self.dim].copy_from_slice(&v[face * self.dim..][..self.dim]);
+        out
+    }
+
+    /// y = S x.
+    fn apply_schur(&self, x: &[f64], y: &mut [f64]) {
+        let m = x.len();
+        // Below this the threads cost more than they bring.
+        let par = if m > 400 { faer::get_global_parallelism() } else { Par::Seq };
+        faer::linalg::matmul::matmul(
+            faer::MatMut::from_column_major_slice_mut(y, m, 1),
+            faer::Accum::Replace,
+            self.schur,
+            faer::MatRef::from_column_major_slice(x, m, 1),
+            1.0,
+            par,
+        );
+    }
+
+    /// λ from the balance of forces at a jump.
+    fn multiplier(&self, data: &FractureData<'_>, jump: &[f64]) -> Vec<f64> {
+        let mut force = vec![0.0; jump.len()];
+        self.apply_schur(jump, &mut force);
+        for (f, r) in force.iter_mut().zip(data.rhs) {
+            *f = r - *f;
+        }
+        for (i, face) in self.faces.iter().enumerate() {
+            for c in 0..self.dim {
+                force[i * self.dim + c] /= face.measure;
+            }
+            force[i * self.dim] += self.following_pressure(data, jump, i);
+        }
+        force
+    }
+
+    /// −c_σ(g) = S_f d_f.
+    fn following_pressure(&self, data: &FractureData<'_>, jump: &[f64], i: usize) -> f64 {
+        let aperture = self.faces[i].aperture(&self.local(jump, i), &self.local(data.origin, i));
+        data.partners[i].stiffness * aperture
+    }
+
+    pub(crate) fn linearise(
+        &self,
+        data: &FractureData<'_>,
+        states: &[ContactState],
+        jump: &[f64],
+        lambda: &[f64],
+    ) -> Vec<Linearised> {
+        (0..self.faces.len())
+            .map(|i| {
+                self.faces[i].linearise(
+                    self.dim,
+                    states[i],
+                    &self.local(jump, i),
+                    &self.local(lambda, i),
+                    &self.local(data.previous, i),
+                    &data.partners[i],
+                    &self.local(data.origin, i),
+                )
+            })
+            .collect()
+    }
+
+    fn states(&self, data: &FractureData<'_>, jump: &[f64], lambda: &[f64]) -> Vec<ContactState> {
+        (0..self.faces.len())
+            .map(|i| {
+                self.faces[i].state(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i))
+            })
+            .collect()
+    }
+
+    fn violation(&self, data: &FractureData<'_>, jump: &[f64], lambda: &[f64]) -> f64 {
+        (0..self.faces.len())
+            .map(|i| {
+                self.faces[i].violation(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i))
+            })
+            .fold(0.0, f64::max)
+    }
+
+    /// Solves the contact problem of a time step, starting from the jump at the previous time: the first multiplier is
+    /// that of sticking everywhere.
+    pub(crate) fn solve(
+        &self,
+        data: &FractureData<'_>,
+        mut factor: Option<Arc<FaceFactor>>,
+    ) -> Result<FractureSolution, SingularFracture> {
+        let mut report = NewtonReport::default();
+        let mut jump = data.previous.to_vec();
+        let mut lambda = self.multiplier(data, &jump);
+        let mut states = self.states(data, &jump, &lambda);
+        let mut seen = HashSet::new();
+        let (mut violation, mut change) = (0.0, 0.0);
+        let mut converged = self.faces.is_empty();
+        while !converged && report.iterations < self.settings.max_iterations {
+            report.iterations += 1;
+            let laws = self.linearise(data, &states, &jump, &lambda);
+            let mut next = jump.clone();
+            let used = self.solve_linear(&laws, Some(data.rhs), &mut factor, &mut next, &mut report)?;
+            report.linear_iterations += used;
+            change = max_abs(jump.iter().zip(&next).map(|(a, b)| a - b));
+            jump = next;
+            lambda = self.multiplier(data, &jump);
+            let new_states = self.states(data, &jump, &lambda);
+            violation = self.violation(data, &jump, &lambda);
+            let repeats = new_states == states;
+            let traction = max_abs(lambda.iter().copied());
+            let size = max_abs(jump.iter().copied());
+            let tolerance = self.settings.tolerance;
+            // A jump that stays is measured by what the tractions could still move: their violation.
+            converged = repeats && change <= tolerance * size && violation <= tolerance * traction
+                || violation <= f64::EPSILON * traction;
+            if !converged && !repeats && !seen.insert(new_states.clone()) {
+                report.cycles += 1;
+                seen.clear();
+                self.sweep(data, &mut jump);
+                lambda = self.multiplier(data, &jump);
+                states = self.states(data, &jump, &lambda);
+            } else {
+                states = new_states;
+            }
+        }
+        Ok(FractureSolution { jump, lambda, states, factor, report, converged, violation, change })
+    }
+
+    /// Solves the linearised problem for the unknown components of `x`, which also holds the first guess; the given
+    /// components are set. Without `rhs` the homogeneous laws are meant, and `x` holds the change of the right-hand side
+    /// on entry. Returns the number of GMRES iterations.
+    fn solve_linear(
+        &self,
+        laws: &[Linearised],
+        rhs: Option<&[f64]>,
+        factor: &mut Option<Arc<FaceFactor>>,
+        x: &mut [f64],
+        report: &mut NewtonReport,
+    ) -> Result<usize, SingularFracture> {
+        let d = self.dim;
+        let source = rhs.map_or_else(|| x.to_vec(), <[f64]>::to_vec);
+        // Right-hand side of the rows: T (r − S g_given) − h0 − H g_given, by applying the rows to the given part.
+        let mut given = vec![0.0; x.len()];
+        for (i, law) in laws.iter().enumerate() {
+            for c in 0..d {
+                if let Some(value) = law.given[c] {
+                    given[i * d + c] = if rhs.is_some() { value } else { 0.0 };
+                    x[i * d + c] = 0.0;
+                } else if rhs.is_none() {
+                    x[i * d + c] = 0.0;
+                }
+            }
+        }
+        let mut b = vec![0.0; x.len()];
+        let mut work = vec![0.0; x.len()];
+        self.apply_schur(&given, &mut work);
+        for (i, law) in laws.iter().enumerate() {
+            for c in (0..d).filter(|&c| law.given[c].is_none()) {
+                let constant = if rhs.is_some() { law.h0[c] } else { 0.0 };
+                b[i * d + c] = (0..d)
+                    .map(|j| law.t[c][j] * (source[i * d + j] - work[i * d + j]) - law.h[c][j] * given[i * d + j])
+                    .sum::<f64>()
+                    - constant;
+            }
+        }
+        if laws.iter().all(|law| law.given[..d].iter().all(Option::is_some)) {
+            x.copy_from_slice(&given);
+            return Ok(0);
+        }
+        // The forces that balance to give b set the scale: b itself may vanish.
+        let scale = max_abs(source.iter().copied()).max(max_abs(b.iter().copied()));
+        let target = LINEAR_TOLERANCE * scale * (b.len() as f64).sqrt();
+        let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
+        if factor.is_none() {
+            *factor = Some(self.factorise(laws, report));
+        }
+        let mut total = 0;
+        let mut fresh = false;
+        loop {
+            let current = factor.clone();
+            let precondition = |v: &mut [f64]| {
+                if let Some(current) = &current {
+                    self.precondition(current, laws, v);
+                }
+            };
+            let (used, ok) = gmres(&operator, &precondition, &b, x, target, KRYLOV);
+            total += used;
+            if ok && (used <= RENEW_ABOVE || fresh) {
+                break;
+            }
+            if fresh {
+                return Err(SingularFracture);
+            }
+            *factor = Some(self.factorise(laws, report));
+            if ok {
+                break;
+            }
+            fresh = true;
+        }
+        for (x, g) in x.iter_mut().zip(&given) {
+            *x += g;
+        }
+        Ok(total)
+    }
+
+    /// The change of the jump for a change of the right-hand side (N), at fixed contact states.
+    pub(crate) fn response(
+        &self,
+        laws: &[Linearised],
+        factor: &mut Option<Arc<FaceFactor>>,
+        change: &[f64],
+    ) -> Result<Vec<f64>, SingularFracture> {
+        let mut x = change.to_vec();
+        self.solve_linear(laws, None, factor, &mut x, &mut NewtonReport::default())?;
+        Ok(x)
+    }
+
+    /// The rows of the linearised laws, T S v + H v, zero where the jump is given; v is zero there.
+    fn apply_rows(&self, laws: &[Linearised], v: &[f64], out: &mut [f64]) {
+        let d = self.dim;
+        self.apply_schur(v, out);
+        for (i, law) in laws.iter().enumerate() {
+            let at = i * d;
+            let (sv, gv) = (self.local(out, i), self.local(v, i));
+            for c in 0..d {
+                out[at + c] = match law.given[c] {
+                    Some(_) => 0.0,
+                    None => (0..d).map(|j| law.t[c][j] * sv[j] + law.h[c][j] * gv[j]).sum(),
+                };
+            }
+        }
+    }
+
+    fn factorise(&self, laws: &[Linearised], report: &mut NewtonReport) -> Arc<FaceFactor> {
+        report.face_factorisations += 1;
+        Arc::new(self.face_factor(laws.to_vec()))
+    }
+
+    /// The dense factorisation for given laws; the same laws give the same bits.
+    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+        let d = self.dim;
+        let unknowns = unknowns(&laws, d);
+        let n = unknowns.len();
+        let mut a = Mat::zeros(n, n);
+        for (q, &column) in unknowns.iter().enumerate() {
+            let s = self.schur.col(column);
+            for (p, &row) in unknowns.iter().enumerate() {
+                let (i, c) = (row / d, row % d);
+                let law = &laws[i];
+                let mut v = law.t[c][c] * s[row];
+                if c > 0 && law.t[c][0] != 0.0 {
+                    v += law.t[c][0] * s[i * d];
+                }
+                if column / d == i {
+                    v += law.h[c][column % d];
+                }
+                a[(p, q)] = v;
+            }
+        }
+        FaceFactor { lu: a.partial_piv_lu(), laws }
+    }
+
+    /// v ← M⁻¹ v, where M is the factor's matrix on the unknowns that are unknown in both, and the diagonal elsewhere.
+    fn precondition(&self, factor: &FaceFactor, laws: &[Linearised], v: &mut [f64]) {
+        let d = self.dim;
+        let unknowns = unknowns(&factor.laws, d);
+        let mut x = Mat::from_fn(unknowns.len(), 1, |p, _| v[unknowns[p]]);
+        factor.lu.solve_in_place(x.as_mut());
+        for (i, (law, old)) in laws.iter().zip(&factor.laws).enumerate() {
+            for c in 0..d {
+                let at = i * d + c;
+                if law.given[c].is_some() {
+                    v[at] = 0.0;
+                } else if old.given[c].is_some() {
+                    v[at] /= self.schur[(at, at)] + law.h[c][c];
+                }
+            }
+        }
+        for (p, &at) in unknowns.iter().enumerate() {
+            if laws[at / d].given[at % d].is_none() {
+                v[at] = x[(p, 0)];
+            }
+        }
+    }
+
+    /// Nonlinear block Gauss–Seidel sweeps over the faces.
+    fn sweep(&self, data: &FractureData<'_>, jump: &mut [f64]) {
+        let d = self.dim;
+        let mut force = vec![0.0; jump.len()];
+        self.apply_schur(jump, &mut force);
+        for _ in 0..SWEEPS {
+            for i in 0..self.faces.len() {
+                let at = i * d;
+                let old = self.local(jump, i);
+                let new = self.solve_face(data, i, &old, &force);
+                for c in 0..d {
+                    let change = new[c] - old[c];
+                    if change != 0.0 {
+                        jump[at + c] = new[c];
+                        for (f, s) in force.iter_mut().zip(self.schur.col(at + c).iter()) {
+                            *f += change * s;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The jump of one face that satisfies its law, all others being given; `force` is S g.
+    fn solve_face(&self, data: &FractureData<'_>, i: usize, old: &Local, force: &[f64]) -> Local {
+        // A handful of states and a smooth curve of slip directions: more than enough.
+        const LOCAL_ITERATIONS: usize = 30;
+        let d = self.dim;
+        let at = i * d;
+        let one = FractureProblem {
+            dim: d,
+            schur: &Mat::from_fn(d, d, |a, b| self.schur[(at + a, at + b)]),
+            faces: &self.faces[i..=i],
+            settings: self.settings,
+        };
+        let mut rhs = [0.0; 3];
+        for a in 0..d {
+            let own: f64 = (0..d).map(|b| self.schur[(at + a, at + b)] * old[b]).sum();
+            rhs[a] = data.rhs[at + a] - force[at + a] + own;
+        }
+        let data = FractureData {
+            rhs: &rhs[..d],
+            previous: &data.previous[at..at + d],
+            origin: &data.origin[at..at + d],
+            partners: &data.partners[i..=i],
+        };
+        let mut jump = data.previous.to_vec();
+        for _ in 0..LOCAL_ITERATIONS {
+            let lambda = one.multiplier(&data, &jump);
+            let states = one.states(&data, &jump, &lambda);
+            if one.violation(&data, &jump, &lambda) <= 1e-13 * max_abs(lambda.iter().copied()) {
+                break;
+            }
+            let laws = one.linearise(&data, &states, &jump, &lambda);
+            let mut next = jump.clone();
+            let mut factor = None;
+            if one.solve_linear(&laws, Some(data.rhs), &mut factor, &mut next, &mut NewtonReport::default()).is_err() {
+                break;
+            }
+            jump = next;
+        }
+        self.local_from(&jump)
+    }
+
+    fn local_from(&self, v: &[f64]) -> Local {
+        let mut out = [0.0; 3];
+        out[..self.dim].copy_from_slice(v);
+        out
+    }
+}
+
+/// The components of the jump that laws leave unknown.
+fn unknowns(laws: &[Linearised], d: usize) -> Vec<usize> {
+    (0..laws.len() * d).filter(|&at| laws[at / d].given[at % d].is_none()).collect()
+}
+
+fn max_abs(v: impl Iterator<Item = f64>) -> f64 {
+    v.fold(0.0, |m, x| if x.abs() <= m { m } else { x.abs() })
+}

@@ -1,0 +1,322 @@
+//! Assembly, boundary data, and the one factorisation.
+//!
+//! In the unknowns ũ of [`Space`] the discrete problem is (Droniou, Enchéry, Faille, Haidar, Masson, CMAME 2024,
+//! arXiv 2312.09319, section 4)
+//!
+//! ```text
+//! A ũ + |σ| λ_σ (rows of the jumps) = f + Σ_K b |K| p_K div_K − Σ_σ |σ| p_f,σ (normal jump)
+//! ```
+//!
+//! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
+
+use std::sync::Arc;
+
+use linear::{Cholesky, Csr, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
+use mesh::{Mesh, Vec3};
+use rayon::prelude::*;
+
+use crate::error::{MechanicsError, ModelProblem};
+use crate::model::{Model, Place, ScalarFunction};
+use crate::space::Space;
+
+/// Cells whose local matrices are in memory at one time.
+const BATCH: usize = 8192;
+
+/// A prescribed unknown.
+pub(crate) struct Fixed {
+    pub(crate) unknown: usize,
+    pub(crate) point: Vec3,
+    pub(crate) value: ScalarFunction,
+    pub(crate) place: String,
+}
+
+/// Elastic constants of a cell (Pa) and its Biot coefficient.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CellMaterial {
+    pub(crate) lambda: f64,
+    pub(crate) mu: f64,
+    pub(crate) biot: f64,
+    pub(crate) bulk_modulus: f64,
+    pub(crate) plane_strain_modulus: f64,
+}
+
+/// The assembled operators; vectors over all unknowns are in the numbering of [`Space`].
+pub(crate) struct System {
+    pub(crate) space: Space,
+    pub(crate) materials: Vec<CellMaterial>,
+    pub(crate) fixed: Vec<Fixed>,
+    /// The unknown of each free one, ascending; the jumps are the last.
+    pub(crate) free: Vec<u32>,
+    /// div_K: cells × unknowns (1/m).
+    pub(crate) divergence: Csr,
+    /// Rows of A of the fixed unknowns: fixed × unknowns.
+    pub(crate) fixed_rows: Csr,
+    stiffness: SparseSymmetric,
+    pub(crate) cholesky: Cholesky,
+    pub(crate) schur: faer::Mat<f64>,
+    pub(crate) factorisations: usize,
+    free_of_unknown: Vec<Option<u32>>,
+}
+
+impl System {
+    /// Assembles and factorises.
+    pub(crate) fn new(mesh: &Mesh, model: &Model) -> Result<Self, MechanicsError> {
+        let space = Space::new(mesh, model.bubbles);
+        let fixed = fixed_unknowns(mesh, model, &space);
+        let problems = floating_pieces(mesh, &space, &fixed);
+        if !problems.is_empty() {
+            return Err(MechanicsError::Model(problems));
+        }
+        let dim = space.dim();
+        let data = mesh.data();
+        let materials: Vec<_> = (data.cell_region.iter())
+            .map(|&region| {
+                let m = &model.materials[&data.regions[region]];
+                CellMaterial {
+                    lambda: m.lambda(),
+                    mu: m.mu(),
+                    biot: m.biot_coefficient,
+                    bulk_modulus: m.bulk_modulus(dim),
+                    plane_strain_modulus: m.plane_strain_modulus(),
+                }
+            })
+            .collect();
+
+        let unknown_count = dim * space.entity_count();
+        let mut is_fixed = vec![false; unknown_count];
+        fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
+        let sizes: Vec<usize> =
+            is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
+        let mut free = Vec::with_capacity(unknown_count);
+        let mut free_of_unknown = vec![None; unknown_count];
+        for (unknown, &fixed) in is_fixed.iter().enumerate() {
+            if !fixed {
+                free_of_unknown[unknown] = Some(free.len() as u32);
+                free.push(unknown as u32);
+            }
+        }
+        let cells = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
+        let pattern = Arc::new(Pattern::with_sizes(&sizes, cells)?);
+        let first_jump = (free.len() - dim * space.face_count()) as u32;
+        let jumps: Vec<u32> = (first_jump..free.len() as u32).collect();
+        let method = if dim == 2 { Method::Amd } else { Method::Metis };
+        let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &jumps)?)?);
+
+        let mut stiffness = SparseSymmetric::zeros(pattern);
+        let (fixed_rows, divergence) =
+            assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
+        let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
+        let schur = cholesky.schur()?;
+        Ok(Self {
+            space,
+            materials,
+            fixed,
+            free,
+            divergence,
+            fixed_rows,
+            stiffness,
+            cholesky,
+            schur,
+            factorisations: 1,
+            free_of_unknown,
+        })
+    }
+
+    /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
+    /// follows its porosity.
+    pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
+        self.stiffness.set_zero();
+        let (fixed_rows, _) = assemble(
+            mesh,
+            &self.space,
+            &self.materials,
+            &self.fixed,
+            &self.free_of_unknown,
+            Some(extra),
+            &mut self.stiffness,
+        )?;
+        self.fixed_rows = fixed_rows;
+        self.cholesky.refactorise(&self.stiffness)?;
+        self.schur = self.cholesky.schur()?;
+        self.factorisations += 1;
+        Ok(())
+    }
+}
+
+/// What a cell adds to the system.
+struct CellPart {
+    entities: Vec<u32>,
+    /// Over the free unknowns of the entities.
+    local: Vec<f64>,
+    divergence: Vec<f64>,
+    /// Entries in rows of fixed unknowns.
+    fixed: Vec<(u32, u32, f64)>,
+}
+
+fn assemble(
+    mesh: &Mesh,
+    space: &Space,
+    materials: &[CellMaterial],
+    fixed: &[Fixed],
+    free_of_unknown: &[Option<u32>],
+    extra: Option<&[f64]>,
+    stiffness: &mut SparseSymmetric,
+) -> Result<(Csr, Csr), MechanicsError> {
+    let dim = space.dim();
+    let mut row_of_fixed = vec![None; free_of_unknown.len()];
+    fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
+    let mut fixed_triplets = Vec::new();
+    let mut divergence_triplets = Vec::new();
+    for first in (0..mesh.cell_count()).step_by(BATCH) {
+        let batch = first..(first + BATCH).min(mesh.cell_count());
+        let parts: Vec<CellPart> = batch
+            .into_par_iter()
+            .map(|cell| {
+                let operators = space.operators(mesh, cell);
+                let unknowns = space.unknowns(mesh, cell);
+                let m = materials[cell];
+                let full = operators.stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]));
+                let full = unknowns.reduce_matrix(full);
+                let divergence = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim)).collect();
+                let divergence = unknowns.reduce_vector(divergence);
+                let entities = unknowns.entities;
+                let numbers: Vec<u32> =
+                    entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)).collect();
+                let width = numbers.len();
+                let mut part = CellPart { entities, local: full, divergence, fixed: Vec::new() };
+                if numbers.iter().any(|&u| row_of_fixed[u as usize].is_some()) {
+                    let mut kept = Vec::with_capacity(width * width);
+                    for (row, &u) in numbers.iter().enumerate() {
+                        let values = &part.local[row * width..][..width];
+                        if let Some(r) = row_of_fixed[u as usize] {
+                            part.fixed.extend(numbers.iter().zip(values).map(|(&column, &v)| (r, column, v)));
+                        } else {
+                            let pairs = numbers.iter().zip(values);
+                            let free = pairs.filter(|(column, _)| free_of_unknown[**column as usize].is_some());
+                            kept.extend(free.map(|(_, v)| v));
+                        }
+                    }
+                    part.local = kept;
+                }
+                part
+            })
+            .collect();
+        for (cell, part) in (first..).zip(parts) {
+            stiffness.add(&part.entities, &part.local)?;
+            fixed_triplets.extend(part.fixed);
+            let columns = part.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c));
+            divergence_triplets.extend(columns.zip(part.divergence).map(|(column, v)| (cell as u32, column, v)));
+        }
+    }
+    let n = free_of_unknown.len();
+    Ok((
+        Csr::from_triplets(fixed.len(), n, &fixed_triplets)?,
+        Csr::from_triplets(mesh.cell_count(), n, &divergence_triplets)?,
+    ))
+}
+
+/// The prescribed unknowns, ascending.
+fn fixed_unknowns(mesh: &Mesh, model: &Model, space: &Space) -> Vec<Fixed> {
+    let dim = space.dim();
+    let nodes = mesh.nodes();
+    let mut by_unknown = std::collections::BTreeMap::new();
+    for condition in &model.dirichlet {
+        let mut fix = |node: usize| {
+            let point = mesh.vertices()[nodes.vertices()[node]];
+            let unknown = node * dim + condition.component;
+            let (value, place) = (Arc::clone(&condition.value), condition.place.to_string());
+            by_unknown.insert(unknown, Fixed { unknown, point, value, place });
+        };
+        match &condition.place {
+            Place::Tag(tag) => {
+                for face in mesh.tagged_faces(tag) {
+                    boundary_nodes(mesh, face).for_each(&mut fix);
+                }
+            }
+            Place::Point(p) => {
+                let distance = |v: &usize| mesh.vertices()[*v].distance_squared(*p);
+                let nearest = (0..mesh.vertices().len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+                (0..nodes.count()).filter(|&k| Some(nodes.vertices()[k]) == nearest).for_each(fix);
+            }
+        }
+    }
+    by_unknown.into_values().collect()
+}
+
+/// The nodes of a boundary face, aligned with its vertices.
+pub(crate) fn boundary_nodes(mesh: &Mesh, face: usize) -> impl Iterator<Item = usize> + '_ {
+    let cell = mesh.face_cells(face).0;
+    let own = mesh.nodes().of_cell(cell);
+    mesh.face_vertices(face).iter().filter_map(move |v| mesh.cell_vertices(cell).binary_search(v).ok().map(|k| own[k]))
+}
+
+/// The pieces of the body that fixed unknowns leave free to move. Pieces on both sides of a fracture are one.
+fn floating_pieces(mesh: &Mesh, space: &Space, fixed: &[Fixed]) -> Vec<ModelProblem> {
+    let dim = space.dim();
+    let mut piece = vec![None; mesh.cell_count()];
+    let mut first_cells = Vec::new();
+    let mut sizes = Vec::new();
+    for start in 0..mesh.cell_count() {
+        if piece[start].is_some() {
+            continue;
+        }
+        let number = first_cells.len();
+        first_cells.push(start);
+        piece[start] = Some(number);
+        let mut queue = vec![start];
+        let mut size = 0;
+        while let Some(cell) = queue.pop() {
+            size += 1;
+            for &face in mesh.cell_faces(cell) {
+                let (a, b) = mesh.face_cells(face);
+                for next in [Some(a), b].into_iter().flatten() {
+                    if piece[next].is_none() {
+                        piece[next] = Some(number);
+                        queue.push(next);
+                    }
+                }
+            }
+        }
+        sizes.push(size);
+    }
+    let mut piece_of_node = vec![0; space.node_count()];
+    for cell in 0..mesh.cell_count() {
+        for &node in mesh.nodes().of_cell(cell) {
+            piece_of_node[node] = piece[cell].unwrap_or_default();
+        }
+    }
+    let modes = if dim == 2 { 3 } else { 6 };
+    // Orthonormal rows of the rigid motions' components that are fixed.
+    let mut rows: Vec<Vec<[f64; 6]>> = vec![Vec::new(); first_cells.len()];
+    let extent = mesh.vertices().iter().fold(0.0f64, |m, x| m.max(x.distance(mesh.vertices()[0])));
+    for f in fixed {
+        let (node, c) = (f.unknown / dim, f.unknown % dim);
+        let p = piece_of_node[node];
+        if rows[p].len() == modes {
+            continue;
+        }
+        let arm = (f.point - mesh.geometry().cell_center[first_cells[p]]) / extent;
+        let mut row = [0.0; 6];
+        row[c] = 1.0;
+        let axes: &[Vec3] = if dim == 2 { &[Vec3::Z] } else { &[Vec3::X, Vec3::Y, Vec3::Z] };
+        for (k, axis) in axes.iter().enumerate() {
+            row[dim + k] = axis.cross(arm)[c];
+        }
+        for known in &rows[p] {
+            let along: f64 = row.iter().zip(known).map(|(a, b)| a * b).sum();
+            row.iter_mut().zip(known).for_each(|(a, b)| *a -= along * b);
+        }
+        let rest = row.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // Arms are parts of the body's extent; a lever shorter than this holds nothing.
+        if rest > 1e-6 {
+            rows[p].push(row.map(|x| x / rest));
+        }
+    }
+    (first_cells.iter().zip(sizes).zip(rows))
+        .filter(|(_, rows)| rows.len() < modes)
+        .map(|((&cell, cells), rows)| {
+            let Vec3 { x, y, z } = mesh.geometry().cell_center[cell];
+            ModelProblem::Floating { x, y, z, cells, free: modes - rows.len(), modes }
+        })
+        .collect()
+}
