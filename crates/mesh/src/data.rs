@@ -1,6 +1,6 @@
 //! What a mesh is made from.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 use crate::{Lists, Vec3};
 
@@ -150,16 +150,21 @@ fn number_of(names: &mut Vec<String>, name: &str) -> usize {
 #[derive(Default)]
 struct FaceTable {
     lists: Lists,
-    numbers: HashMap<Vec<usize>, usize>,
+    numbers: FxHashMap<Vec<usize>, usize>,
+    key: Vec<usize>,
 }
 
 impl FaceTable {
     fn number(&mut self, vertices: &[usize]) -> usize {
-        let mut key = vertices.to_vec();
-        key.sort_unstable();
-        *self.numbers.entry(key).or_insert_with(|| {
-            self.lists.push(vertices.iter().copied());
-            self.lists.len() - 1
-        })
+        self.key.clear();
+        self.key.extend_from_slice(vertices);
+        self.key.sort_unstable();
+        if let Some(&number) = self.numbers.get(&self.key) {
+            return number;
+        }
+        let number = self.lists.len();
+        self.lists.push(vertices.iter().copied());
+        self.numbers.insert(self.key.clone(), number);
+        number
     }
 }
