@@ -275,7 +275,7 @@ impl FractureProblem<'_> {
                     self.precondition(current, laws, v);
                 }
             };
-            let (used, ok) = gmres(&operator, &precondition, &b, x, target, KRYLOV);
+            let (used, ok) = linear::gmres(&operator, &precondition, &b, x, target, KRYLOV);
             total += used;
             if ok && (used <= RENEW_ABOVE || fresh) {
                 break;

@@ -25,6 +25,7 @@
 mod cholesky;
 mod csr;
 mod error;
+mod gmres;
 mod ordering;
 mod panels;
 mod pattern;
@@ -32,6 +33,7 @@ mod pattern;
 pub use cholesky::{Cholesky, Forward, MAX_RESIDUAL, Memory, Scratch, Symbolic};
 pub use csr::Csr;
 pub use error::Error;
+pub use gmres::gmres;
 pub use faer::{Mat, MatMut, MatRef, Par};
 pub use ordering::{Method, Ordering};
 pub use pattern::{Pattern, SparseSymmetric};

@@ -1,0 +1,143 @@
+//! The generalised minimal residual method.
+
+/// Solves A x = b by restarted-free GMRES with right preconditioning (Saad, Schultz, SIAM J. Sci. Stat. Comput. 1986),
+/// starting from `x`.
+///
+/// `apply(v, y)` sets y = A v, `precondition(v)` replaces v by M⁻¹ v. Stops when ‖b − A x‖₂ ≤ `target`. Returns the number
+/// of iterations, at most `max_iterations`, and whether the target was reached, by the residual computed anew; `x` is
+/// left as it was where something that is not finite turned up.
+pub fn gmres(
+    apply: &dyn Fn(&[f64], &mut [f64]),
+    precondition: &dyn Fn(&mut [f64]),
+    b: &[f64],
+    x: &mut [f64],
+    target: f64,
+    max_iterations: usize,
+) -> (usize, bool) {
+    let n = b.len();
+    let residual = |x: &[f64]| {
+        let mut r = vec![0.0; n];
+        apply(x, &mut r);
+        r.iter_mut().zip(b).for_each(|(r, b)| *r = b - *r);
+        r
+    };
+    let mut first = residual(x);
+    let beta = norm(&first);
+    if beta <= target || !beta.is_finite() {
+        return (0, beta <= target);
+    }
+    first.iter_mut().for_each(|v| *v /= beta);
+    let mut basis = vec![first];
+    // Column k of the Hessenberg matrix, already rotated to a triangle, and the rotations.
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    let mut rotations: Vec<(f64, f64)> = Vec::new();
+    let mut g = vec![beta];
+    while columns.len() < max_iterations {
+        let k = columns.len();
+        let mut z = basis[k].clone();
+        precondition(&mut z);
+        let mut w = vec![0.0; n];
+        apply(&z, &mut w);
+        let mut h = Vec::with_capacity(k + 2);
+        for v in &basis {
+            let along = dot(v, &w);
+            w.iter_mut().zip(v).for_each(|(w, v)| *w -= along * v);
+            h.push(along);
+        }
+        let length = norm(&w);
+        h.push(length);
+        for (i, &(c, s)) in rotations.iter().enumerate() {
+            (h[i], h[i + 1]) = (c * h[i] + s * h[i + 1], c * h[i + 1] - s * h[i]);
+        }
+        let r = h[k].hypot(h[k + 1]);
+        if !r.is_finite() || r == 0.0 {
+            return (k + 1, false);
+        }
+        let (c, s) = (h[k] / r, h[k + 1] / r);
+        h[k] = r;
+        h.pop();
+        rotations.push((c, s));
+        g.push(-s * g[k]);
+        g[k] *= c;
+        columns.push(h);
+        if g[k + 1].abs() <= target || length == 0.0 {
+            break;
+        }
+        w.iter_mut().for_each(|w| *w /= length);
+        basis.push(w);
+    }
+    let used = columns.len();
+    let mut y = g;
+    y.truncate(used);
+    for i in (0..used).rev() {
+        y[i] /= columns[i][i];
+        for j in 0..i {
+            y[j] -= columns[i][j] * y[i];
+        }
+    }
+    let mut update = vec![0.0; n];
+    for (v, y) in basis.iter().zip(&y) {
+        update.iter_mut().zip(v).for_each(|(u, v)| *u += y * v);
+    }
+    precondition(&mut update);
+    if !update.iter().all(|u| u.is_finite()) {
+        return (used, false);
+    }
+    x.iter_mut().zip(&update).for_each(|(x, u)| *x += u);
+    // Round-off may leave the true residual a little above the one that the method knows.
+    const SLACK: f64 = 10.0;
+    (used, norm(&residual(x)) <= SLACK * target)
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn norm(v: &[f64]) -> f64 {
+    dot(v, v).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::gmres;
+
+    #[test]
+    fn as_many_iterations_as_distinct_eigenvalues() {
+        let diagonal = [1.0, 2.0, 2.0, 5.0, 1.0, 5.0];
+        let b = [3.0, -1.0, 4.0, 1.0, -5.0, 9.0];
+        let apply = |v: &[f64], y: &mut [f64]| y.iter_mut().enumerate().for_each(|(i, y)| *y = diagonal[i] * v[i]);
+        let mut x = [0.0; 6];
+        assert_eq!(gmres(&apply, &|_| {}, &b, &mut x, 1e-12, 10), (3, true));
+        for i in 0..6 {
+            assert!((x[i] - b[i] / diagonal[i]).abs() < 1e-12);
+        }
+        // Started from the solution there is nothing to do.
+        assert_eq!(gmres(&apply, &|_| {}, &b, &mut x, 1e-11, 10), (0, true));
+    }
+
+    #[test]
+    fn a_preconditioner_that_is_the_inverse_needs_one() {
+        let apply = |v: &[f64], y: &mut [f64]| {
+            y[0] = 4.0 * v[0] + v[1];
+            y[1] = -2.0 * v[0] + 3.0 * v[1];
+        };
+        let inverse = |v: &mut [f64]| {
+            let (a, b) = (v[0], v[1]);
+            v[0] = (3.0 * a - b) / 14.0;
+            v[1] = (2.0 * a + 4.0 * b) / 14.0;
+        };
+        let mut x = [0.0; 2];
+        assert_eq!(gmres(&apply, &inverse, &[6.0, 4.0], &mut x, 1e-13, 5), (1, true));
+        assert!((x[0] - 1.0).abs() < 1e-14 && (x[1] - 2.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn a_singular_system_is_not_solved() {
+        let apply = |v: &[f64], y: &mut [f64]| {
+            y[0] = v[0];
+            y[1] = 0.0;
+        };
+        let mut x = [0.0; 2];
+        assert!(!gmres(&apply, &|_| {}, &[1.0, 1.0], &mut x, 1e-10, 5).1);
+    }
+}
