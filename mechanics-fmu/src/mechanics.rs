@@ -394,12 +394,12 @@ impl Mechanics {
     fn prescribed(&self, time: f64) -> Result<Vec<f64>, MechanicsError> {
         (self.system.fixed.iter())
             .map(|f| {
-                let value = (f.value)(f.point, time);
+                let value = (f.value)(&f.point, time);
                 if value.is_finite() {
                     return Ok(value);
                 }
                 let what = format!("the displacement on {}", f.place);
-                let Vec3 { x, y, z } = f.point;
+                let Vec3 { x, y, z } = f.point.at;
                 let problem = ModelProblem::Function { what, x, y, z, time, value, allowed: "finite" };
                 Err(MechanicsError::Model(vec![problem]))
             })

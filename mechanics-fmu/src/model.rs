@@ -12,6 +12,18 @@ pub type ScalarFunction = Arc<dyn Fn(Vec3, f64) -> f64 + Send + Sync>;
 /// A vector function of the position (m) and the time (s); in 2D its z component is not looked at.
 pub type VectorFunction = Arc<dyn Fn(Vec3, f64) -> Vec3 + Send + Sync>;
 
+/// A function of a boundary point and the time (s).
+pub type BoundaryFunction = Arc<dyn Fn(&BoundaryPoint, f64) -> f64 + Send + Sync>;
+
+/// Where a boundary value is taken. Where a fracture meets the boundary there is a node on each side of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoundaryPoint {
+    /// The point (m).
+    pub at: Vec3,
+    /// Centre of a cell around it (m) that tells the sides of a fracture apart.
+    pub cell: Vec3,
+}
+
 /// Linear elastic, porous rock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
@@ -125,7 +137,14 @@ pub struct Dirichlet {
     /// Which component, 0 for x.
     pub component: usize,
     /// Its value (m).
-    pub value: ScalarFunction,
+    pub value: BoundaryFunction,
+}
+
+impl Dirichlet {
+    /// A component that is held at zero on the faces with a boundary tag.
+    pub fn zero(tag: &str, component: usize) -> Self {
+        Self { place: Place::Tag(tag.into()), component, value: Arc::new(|_, _| 0.0) }
+    }
 }
 
 /// A prescribed traction σ_T n on the outer boundary.

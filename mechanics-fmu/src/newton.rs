@@ -23,8 +23,8 @@ use faer::{Mat, Par};
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::model::NewtonSettings;
 
-/// Relative accuracy of the linear solves: well below Newton's tolerance.
-const LINEAR_TOLERANCE: f64 = 1e-11;
+/// Accuracy of the linear solves, a part of the largest force on a face: well below Newton's tolerance, above round-off.
+const LINEAR_TOLERANCE: f64 = 1e-13;
 /// Restart length and limit of GMRES.
 const KRYLOV: usize = 60;
 /// The preconditioner is renewed when a solve needed more iterations than this: about what renewing it costs.
@@ -260,8 +260,8 @@ impl FractureProblem<'_> {
             return Ok(0);
         }
         // The forces that balance to give b set the scale: b itself may vanish.
-        let scale = max_abs(source.iter().copied()).max(max_abs(b.iter().copied()));
-        let target = LINEAR_TOLERANCE * scale * (b.len() as f64).sqrt();
+        let scale = max_abs(source.iter().chain(&work).copied());
+        let target = LINEAR_TOLERANCE * scale;
         let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
         if factor.is_none() {
             *factor = Some(self.factorise(laws, report));

@@ -16,7 +16,7 @@ use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{MechanicsError, ModelProblem};
-use crate::model::{Model, Place, ScalarFunction};
+use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
 use crate::space::Space;
 
 /// Cells whose local matrices are in memory at one time.
@@ -25,8 +25,8 @@ const BATCH: usize = 8192;
 /// A prescribed unknown.
 pub(crate) struct Fixed {
     pub(crate) unknown: usize,
-    pub(crate) point: Vec3,
-    pub(crate) value: ScalarFunction,
+    pub(crate) point: BoundaryPoint,
+    pub(crate) value: BoundaryFunction,
     pub(crate) place: String,
 }
 
@@ -221,8 +221,9 @@ fn fixed_unknowns(mesh: &Mesh, model: &Model, space: &Space) -> Vec<Fixed> {
     let nodes = mesh.nodes();
     let mut by_unknown = std::collections::BTreeMap::new();
     for condition in &model.dirichlet {
-        let mut fix = |node: usize| {
-            let point = mesh.vertices()[nodes.vertices()[node]];
+        let mut fix = |node: usize, cell: usize| {
+            let at = mesh.vertices()[nodes.vertices()[node]];
+            let point = BoundaryPoint { at, cell: mesh.geometry().cell_center[cell] };
             let unknown = node * dim + condition.component;
             let (value, place) = (Arc::clone(&condition.value), condition.place.to_string());
             by_unknown.insert(unknown, Fixed { unknown, point, value, place });
@@ -230,13 +231,17 @@ fn fixed_unknowns(mesh: &Mesh, model: &Model, space: &Space) -> Vec<Fixed> {
         match &condition.place {
             Place::Tag(tag) => {
                 for face in mesh.tagged_faces(tag) {
-                    boundary_nodes(mesh, face).for_each(&mut fix);
+                    let cell = mesh.face_cells(face).0;
+                    boundary_nodes(mesh, face).for_each(|node| fix(node, cell));
                 }
             }
             Place::Point(p) => {
                 let distance = |v: &usize| mesh.vertices()[*v].distance_squared(*p);
                 let nearest = (0..mesh.vertices().len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
-                (0..nodes.count()).filter(|&k| Some(nodes.vertices()[k]) == nearest).for_each(fix);
+                for cell in 0..mesh.cell_count() {
+                    let place = nearest.and_then(|v| mesh.cell_vertices(cell).binary_search(&v).ok());
+                    place.into_iter().for_each(|k| fix(nodes.of_cell(cell)[k], cell));
+                }
             }
         }
     }
@@ -295,7 +300,7 @@ fn floating_pieces(mesh: &Mesh, space: &Space, fixed: &[Fixed]) -> Vec<ModelProb
         if rows[p].len() == modes {
             continue;
         }
-        let arm = (f.point - mesh.geometry().cell_center[first_cells[p]]) / extent;
+        let arm = (f.point.at - mesh.geometry().cell_center[first_cells[p]]) / extent;
         let mut row = [0.0; 6];
         row[c] = 1.0;
         let axes: &[Vec3] = if dim == 2 { &[Vec3::Z] } else { &[Vec3::X, Vec3::Y, Vec3::Z] };

@@ -1,1 +1,5 @@
-//! tests
+//! Benchmarks of the literature and what the studies and the tests share.
+
+pub mod contact_cases;
+pub mod norms;
+pub mod plot;
