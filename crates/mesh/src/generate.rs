@@ -2,10 +2,14 @@
 
 mod arrangement;
 mod boxes;
+mod extrude;
 mod input;
+mod simplices;
 mod size;
 mod triangles;
 
-pub use boxes::{cartesian, tag_box};
+pub use boxes::{cartesian, kershaw, perturb, tag_box};
+pub use extrude::extrude;
 pub use input::{InputError, InputProblem};
+pub use simplices::simplices;
 pub use triangles::Triangles;

@@ -106,6 +106,12 @@ pub enum InputProblem {
         /// What was given.
         found: usize,
     },
+    /// A cell that cannot be cut into simplices from its lowest vertex.
+    #[error("cell {cell} is not strictly convex; it cannot be cut into simplices")]
+    NotConvex {
+        /// Number of the cell.
+        cell: usize,
+    },
     /// A mesh that does not consist of simplices.
     #[error("cell {cell} has {faces} faces: simplices are needed")]
     NoSimplex {
