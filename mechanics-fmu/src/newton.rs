@@ -25,8 +25,13 @@ use crate::model::NewtonSettings;
 
 /// Accuracy of the linear solves, a part of the largest force on a face: well below Newton's tolerance, above round-off.
 const LINEAR_TOLERANCE: f64 = 1e-13;
-/// Restart length and limit of GMRES.
+/// A residual up to this many times the estimate of round-off is as good as none.
+const ROUND_OFF_SLACK: f64 = 10.0;
+/// Limit of GMRES.
 const KRYLOV: usize = 60;
+/// The preconditioner is renewed, not bordered, when more than one in this many components of the jump have become
+/// known or unknown: bordering k of n takes 2 k n² operations, renewing ⅔ n³.
+const BORDER: usize = 4;
 /// The preconditioner is renewed when a solve needed more iterations than this: about what renewing it costs.
 const RENEW_ABOVE: usize = 12;
 /// Gauss–Seidel sweeps after a cycle.
@@ -54,7 +59,23 @@ pub(crate) struct FractureData<'a> {
 /// A dense LU factorisation of the linearised problem at some earlier states.
 pub(crate) struct FaceFactor {
     laws: Vec<Linearised>,
+    unknowns: Vec<usize>,
     lu: PartialPivLu<f64>,
+}
+
+/// A [`FaceFactor`] used for other laws. Exact where these differ only in which components are given: a component that
+/// has become known is held by a Lagrange multiplier, one that has become unknown is appended.
+struct Preconditioner<'a> {
+    factor: &'a FaceFactor,
+    /// Components that have become unknown.
+    added: Vec<usize>,
+    /// Places in `factor.unknowns` of those that have become known.
+    removed: Vec<usize>,
+    /// Rows of the added components over the factor's unknowns.
+    added_rows: Mat<f64>,
+    /// Factor's inverse times the columns of the border.
+    columns: Mat<f64>,
+    corner: PartialPivLu<f64>,
 }
 
 impl std::fmt::Debug for FaceFactor {
@@ -191,8 +212,7 @@ impl FractureProblem<'_> {
             report.iterations += 1;
             let laws = self.linearise(data, &states, &jump, &lambda);
             let mut next = jump.clone();
-            let used = self.solve_linear(&laws, Some(data.rhs), &mut factor, &mut next, &mut report)?;
-            report.linear_iterations += used;
+            self.solve_linear(&laws, data.rhs, true, &mut factor, &mut next, &mut report)?;
             change = max_abs(jump.iter().zip(&next).map(|(a, b)| a - b));
             jump = next;
             lambda = self.multiplier(data, &jump);
@@ -218,81 +238,80 @@ impl FractureProblem<'_> {
         Ok(FractureSolution { jump, lambda, states, factor, report, converged, violation, change })
     }
 
-    /// Solves the linearised problem for the unknown components of `x`, which also holds the first guess; the given
-    /// components are set. Without `rhs` the homogeneous laws are meant, and `x` holds the change of the right-hand side
-    /// on entry. Returns the number of GMRES iterations.
+    /// Solves the linearised problem for the jump `x`, which holds a first guess. Without `affine` the homogeneous laws are
+    /// meant: given jumps and constants are zero.
     fn solve_linear(
         &self,
         laws: &[Linearised],
-        rhs: Option<&[f64]>,
+        rhs: &[f64],
+        affine: bool,
         factor: &mut Option<Arc<FaceFactor>>,
         x: &mut [f64],
         report: &mut NewtonReport,
-    ) -> Result<usize, SingularFracture> {
+    ) -> Result<(), SingularFracture> {
         let d = self.dim;
-        let source = rhs.map_or_else(|| x.to_vec(), <[f64]>::to_vec);
-        // Right-hand side of the rows: T (r − S g_given) − h0 − H g_given, by applying the rows to the given part.
         let mut given = vec![0.0; x.len()];
         for (i, law) in laws.iter().enumerate() {
             for c in 0..d {
                 if let Some(value) = law.given[c] {
-                    given[i * d + c] = if rhs.is_some() { value } else { 0.0 };
-                    x[i * d + c] = 0.0;
-                } else if rhs.is_none() {
+                    given[i * d + c] = if affine { value } else { 0.0 };
                     x[i * d + c] = 0.0;
                 }
-            }
-        }
-        let mut b = vec![0.0; x.len()];
-        let mut work = vec![0.0; x.len()];
-        self.apply_schur(&given, &mut work);
-        for (i, law) in laws.iter().enumerate() {
-            for c in (0..d).filter(|&c| law.given[c].is_none()) {
-                let constant = if rhs.is_some() { law.h0[c] } else { 0.0 };
-                b[i * d + c] = (0..d)
-                    .map(|j| law.t[c][j] * (source[i * d + j] - work[i * d + j]) - law.h[c][j] * given[i * d + j])
-                    .sum::<f64>()
-                    - constant;
             }
         }
         if laws.iter().all(|law| law.given[..d].iter().all(Option::is_some)) {
             x.copy_from_slice(&given);
-            return Ok(0);
+            return Ok(());
+        }
+        // Right-hand side of the rows: T (r − S g_given) − H g_given − h0.
+        let mut b = vec![0.0; x.len()];
+        let mut force = vec![0.0; x.len()];
+        self.apply_schur(&given, &mut force);
+        for (i, law) in laws.iter().enumerate() {
+            for c in (0..d).filter(|&c| law.given[c].is_none()) {
+                let at = |j: usize| i * d + j;
+                let rows = (0..d).map(|j| law.t[c][j] * (rhs[at(j)] - force[at(j)]) - law.h[c][j] * given[at(j)]);
+                b[at(c)] = rows.sum::<f64>() - if affine { law.h0[c] } else { 0.0 };
+            }
         }
         // The forces that balance to give b set the scale: b itself may vanish.
-        let scale = max_abs(source.iter().chain(&work).copied());
+        let scale = max_abs(rhs.iter().chain(&force).copied());
         let target = LINEAR_TOLERANCE * scale;
         let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
-        if factor.is_none() {
-            *factor = Some(self.factorise(laws, report));
-        }
-        let mut total = 0;
         let mut fresh = false;
         loop {
-            let current = factor.clone();
-            let precondition = |v: &mut [f64]| {
-                if let Some(current) = &current {
-                    self.precondition(current, laws, v);
+            let preconditioner = match factor.as_deref().and_then(|f| self.preconditioner(f, laws)) {
+                Some(preconditioner) => preconditioner,
+                None => {
+                    report.face_factorisations += 1;
+                    fresh = true;
+                    let new = factor.insert(Arc::new(self.face_factor(laws.to_vec())));
+                    self.preconditioner(new, laws).ok_or(SingularFracture)?
                 }
             };
-            let (used, ok) = linear::gmres(&operator, &precondition, &b, x, target, KRYLOV);
-            total += used;
-            if ok && (used <= RENEW_ABOVE || fresh) {
+            let apply = |v: &mut [f64]| preconditioner.apply(v);
+            let done = linear::gmres(&operator, &apply, &b, x, target, KRYLOV);
+            report.linear_iterations += done.iterations;
+            let round_off = self.round_off(x).max(target);
+            let solved = done.residual <= ROUND_OFF_SLACK * round_off;
+            if !fresh && (!solved || done.iterations > RENEW_ABOVE) {
+                *factor = None;
+            }
+            if solved {
                 break;
             }
             if fresh {
                 return Err(SingularFracture);
             }
-            *factor = Some(self.factorise(laws, report));
-            if ok {
-                break;
-            }
-            fresh = true;
         }
-        for (x, g) in x.iter_mut().zip(&given) {
-            *x += g;
-        }
-        Ok(total)
+        x.iter_mut().zip(&given).for_each(|(x, g)| *x += g);
+        Ok(())
+    }
+
+    /// What round-off leaves of S x (N).
+    fn round_off(&self, x: &[f64]) -> f64 {
+        let stiffest = max_abs((0..x.len()).map(|i| self.schur[(i, i)]));
+        f64::EPSILON * (x.len() as f64).sqrt() * stiffest * max_abs(x.iter().copied())
     }
 
     /// The change of the jump for a change of the right-hand side (N), at fixed contact states.
@@ -302,8 +321,8 @@ impl FractureProblem<'_> {
         factor: &mut Option<Arc<FaceFactor>>,
         change: &[f64],
     ) -> Result<Vec<f64>, SingularFracture> {
-        let mut x = change.to_vec();
-        self.solve_linear(laws, None, factor, &mut x, &mut NewtonReport::default())?;
+        let mut x = vec![0.0; change.len()];
+        self.solve_linear(laws, change, false, factor, &mut x, &mut NewtonReport::default())?;
         Ok(x)
     }
 
@@ -323,20 +342,13 @@ impl FractureProblem<'_> {
         }
     }
 
-    fn factorise(&self, laws: &[Linearised], report: &mut NewtonReport) -> Arc<FaceFactor> {
-        report.face_factorisations += 1;
-        Arc::new(self.face_factor(laws.to_vec()))
-    }
-
-    /// The dense factorisation for given laws; the same laws give the same bits.
-    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+    /// The same rows as a matrix over some components; the rows of T reach the normal component and their own.
+    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f64> {
         let d = self.dim;
-        let unknowns = unknowns(&laws, d);
-        let n = unknowns.len();
-        let mut a = Mat::zeros(n, n);
-        for (q, &column) in unknowns.iter().enumerate() {
+        let mut a = Mat::zeros(rows.len(), columns.len());
+        for (q, &column) in columns.iter().enumerate() {
             let s = self.schur.col(column);
-            for (p, &row) in unknowns.iter().enumerate() {
+            for (p, &row) in rows.iter().enumerate() {
                 let (i, c) = (row / d, row % d);
                 let law = &laws[i];
                 let mut v = law.t[c][c] * s[row];
@@ -349,30 +361,46 @@ impl FractureProblem<'_> {
                 a[(p, q)] = v;
             }
         }
-        FaceFactor { lu: a.partial_piv_lu(), laws }
+        a
     }
 
-    /// v ← M⁻¹ v, where M is the factor's matrix on the unknowns that are unknown in both, and the diagonal elsewhere.
-    fn precondition(&self, factor: &FaceFactor, laws: &[Linearised], v: &mut [f64]) {
+    /// The dense factorisation for given laws; the same laws give the same bits.
+    fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+        let unknowns = unknowns(&laws, self.dim);
+        let lu = self.rows(&laws, &unknowns, &unknowns).partial_piv_lu();
+        FaceFactor { laws, unknowns, lu }
+    }
+
+    /// The use of a factor for given laws; `None` where renewing it is cheaper.
+    fn preconditioner<'a>(&self, factor: &'a FaceFactor, laws: &[Linearised]) -> Option<Preconditioner<'a>> {
         let d = self.dim;
-        let unknowns = unknowns(&factor.laws, d);
-        let mut x = Mat::from_fn(unknowns.len(), 1, |p, _| v[unknowns[p]]);
-        factor.lu.solve_in_place(x.as_mut());
-        for (i, (law, old)) in laws.iter().zip(&factor.laws).enumerate() {
-            for c in 0..d {
-                let at = i * d + c;
-                if law.given[c].is_some() {
-                    v[at] = 0.0;
-                } else if old.given[c].is_some() {
-                    v[at] /= self.schur[(at, at)] + law.h[c][c];
-                }
+        let old = &factor.unknowns;
+        let is_known = |laws: &[Linearised], at: usize| laws[at / d].given[at % d].is_some();
+        let removed: Vec<usize> = (0..old.len()).filter(|&p| is_known(laws, old[p])).collect();
+        let added: Vec<usize> = unknowns(laws, d).into_iter().filter(|&at| is_known(&factor.laws, at)).collect();
+        let border = added.len() + removed.len();
+        if border * BORDER > old.len() {
+            return None;
+        }
+        let mut columns = Mat::zeros(old.len(), border);
+        columns.as_mut().subcols_mut(0, added.len()).copy_from(self.rows(&factor.laws, old, &added));
+        for (k, &p) in removed.iter().enumerate() {
+            columns[(p, added.len() + k)] = 1.0;
+        }
+        factor.lu.solve_in_place(columns.as_mut());
+        let added_rows = self.rows(laws, &added, old);
+        let mut corner = Mat::zeros(border, border);
+        corner.as_mut().submatrix_mut(0, 0, added.len(), added.len()).copy_from(self.rows(laws, &added, &added));
+        let reached = &added_rows * &columns;
+        for q in 0..border {
+            for p in 0..added.len() {
+                corner[(p, q)] -= reached[(p, q)];
+            }
+            for (k, &p) in removed.iter().enumerate() {
+                corner[(added.len() + k, q)] -= columns[(p, q)];
             }
         }
-        for (p, &at) in unknowns.iter().enumerate() {
-            if laws[at / d].given[at % d].is_none() {
-                v[at] = x[(p, 0)];
-            }
-        }
+        Some(Preconditioner { factor, added, removed, added_rows, columns, corner: corner.partial_piv_lu() })
     }
 
     /// Nonlinear block Gauss–Seidel sweeps over the faces.
@@ -431,18 +459,39 @@ impl FractureProblem<'_> {
             let laws = one.linearise(&data, &states, &jump, &lambda);
             let mut next = jump.clone();
             let mut factor = None;
-            if one.solve_linear(&laws, Some(data.rhs), &mut factor, &mut next, &mut NewtonReport::default()).is_err() {
+            if one.solve_linear(&laws, data.rhs, true, &mut factor, &mut next, &mut NewtonReport::default()).is_err() {
                 break;
             }
             jump = next;
         }
-        self.local_from(&jump)
+        self.local(&jump, 0)
     }
+}
 
-    fn local_from(&self, v: &[f64]) -> Local {
-        let mut out = [0.0; 3];
-        out[..self.dim].copy_from_slice(v);
-        out
+impl Preconditioner<'_> {
+    /// v ← M⁻¹ v, over all components; zero where the jump is given.
+    fn apply(&self, v: &mut [f64]) {
+        let old = &self.factor.unknowns;
+        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]]);
+        // The row of a component that has become known is free to take the multiplier that holds it.
+        self.removed.iter().for_each(|&p| x[(p, 0)] = 0.0);
+        self.factor.lu.solve_in_place(x.as_mut());
+        let n = self.added.len();
+        if n + self.removed.len() > 0 {
+            let reached = &self.added_rows * &x;
+            let mut z = Mat::from_fn(n + self.removed.len(), 1, |k, _| {
+                if k < n { v[self.added[k]] - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
+            });
+            self.corner.solve_in_place(z.as_mut());
+            x -= &self.columns * &z;
+            for (k, &at) in self.added.iter().enumerate() {
+                v[at] = z[(k, 0)];
+            }
+        }
+        for (p, &at) in old.iter().enumerate() {
+            v[at] = x[(p, 0)];
+        }
+        self.removed.iter().for_each(|&p| v[old[p]] = 0.0);
     }
 }
 

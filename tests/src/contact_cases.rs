@@ -4,8 +4,9 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Outcome, Partner, Place, State, StepReport,
+    Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, Outcome, Partner, Place, State, StepReport,
 };
+use mesh::generate::Triangles;
 use mesh::{Mesh, MeshData, Vec3};
 
 use crate::norms::cell_quadrature;
@@ -136,6 +137,106 @@ pub mod manufactured {
             gradient: (eg / g2).sqrt(),
             multiplier: multiplier_norm(mesh, &state.multiplier),
         }
+    }
+}
+
+/// A crack under compression in a large plane (Phan, Napier, Gray, Kaplan, IJNME 2003): E = 25 GPa, ν = 0.25,
+/// 100 MPa along x, half-length 1 m at 20° to x, F = 1/√3.
+pub mod single_crack {
+    use super::*;
+
+    /// Young's modulus (Pa).
+    pub const YOUNG: f64 = 25e9;
+    /// Poisson's ratio.
+    pub const POISSON: f64 = 0.25;
+    /// Compression along x (Pa).
+    pub const COMPRESSION: f64 = 100e6;
+    /// Angle of the crack to x (rad).
+    pub const ANGLE: f64 = PI / 9.0;
+    /// Half-length (m).
+    pub const HALF_LENGTH: f64 = 1.0;
+    /// Friction coefficient, 1/√3.
+    pub const FRICTION: f64 = 0.577_350_269_189_625_8;
+
+    /// Triangles of a square of side `side` (m), `faces` equal ones of them along the crack, growing by `growth` metres per
+    /// metre.
+    ///
+    /// # Panics
+    /// If the mesh cannot be made.
+    pub fn triangles(side: f64, faces: usize, growth: f64) -> Mesh {
+        let (s, c) = ANGLE.sin_cos();
+        let tip = [HALF_LENGTH * c, HALF_LENGTH * s];
+        let half = side / 2.0;
+        let data = Triangles::rectangle([-half; 2], [half; 2], side / 16.0)
+            .fracture("crack", &[[-tip[0], -tip[1]], tip], 2.0 * HALF_LENGTH / faces as f64)
+            .growth(growth)
+            .build();
+        Mesh::new(data.unwrap_or_else(|e| panic!("{e}"))).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// The model: the load as traction, rigid motions removed at the ends of the symmetry axes.
+    pub fn model(side: f64) -> Model {
+        let mut model = Model::default();
+        let rock = Material { young_modulus: YOUNG, poisson_ratio: POISSON, biot_coefficient: 0.0 };
+        model.materials.insert("rock".into(), rock);
+        model.fractures.insert("crack".into(), FractureLaw::coulomb(FRICTION, 1e-4));
+        for (tag, sign) in [("left", 1.0), ("right", -1.0)] {
+            let traction = Vec3::new(sign * COMPRESSION, 0.0, 0.0);
+            model.neumann.push(Neumann { tag: tag.into(), traction: Arc::new(move |_, _| traction) });
+        }
+        for sign in [-1.0, 1.0] {
+            for component in 0..2 {
+                let mut point = Vec3::ZERO;
+                point[1 - component] = sign * side / 2.0;
+                model.dirichlet.push(Dirichlet { place: Place::Point(point), component, value: Arc::new(|_, _| 0.0) });
+            }
+        }
+        model
+    }
+
+    /// Normal multiplier λ_n = σ̄ sin²ψ (Pa).
+    pub fn normal_multiplier() -> f64 {
+        COMPRESSION * ANGLE.sin().powi(2)
+    }
+
+    /// Slip (m) at the distance `from_center` (m) from the middle of the crack.
+    pub fn slip(from_center: f64) -> f64 {
+        let (s, c) = ANGLE.sin_cos();
+        let stress = COMPRESSION * s * (c - FRICTION * s);
+        4.0 * (1.0 - POISSON.powi(2)) / YOUNG * stress * (HALF_LENGTH.powi(2) - from_center.powi(2)).max(0.0).sqrt()
+    }
+
+    /// For each face, ordered along the crack: distance from its middle (m, signed), slip (m), λ_n (Pa).
+    pub fn profile(mechanics: &Mechanics, state: &State) -> Vec<[f64; 3]> {
+        let mesh = mechanics.mesh();
+        let along = Vec3::new(ANGLE.cos(), ANGLE.sin(), 0.0);
+        let jump = state.jump(mechanics.space());
+        let mut profile: Vec<_> = (mesh.network().faces.iter().enumerate())
+            .map(|(i, &face)| {
+                let at = mesh.geometry().face_center[face].dot(along);
+                [at, jump[2 * i + 1].abs(), state.multiplier[2 * i]]
+            })
+            .collect();
+        profile.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        profile
+    }
+
+    /// Relative L² errors of slip and of λ_n, the latter without 5 % of the crack at each tip, by the values at the
+    /// faces' middles.
+    pub fn errors(profile: &[[f64; 3]]) -> [f64; 2] {
+        let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
+            let (mut error, mut size) = (0.0, 0.0);
+            for (found, exact) in pairs {
+                error += (found - exact).powi(2);
+                size += exact.powi(2);
+            }
+            (error / size).sqrt()
+        };
+        let inner = profile.iter().filter(|p| p[0].abs() < 0.9 * HALF_LENGTH);
+        [
+            ratio(&mut profile.iter().map(|p| (p[1], slip(p[0])))),
+            ratio(&mut inner.map(|p| (p[2], normal_multiplier()))),
+        ]
     }
 }
 
