@@ -216,11 +216,14 @@ impl Cholesky {
     /// [`Error::PatternMismatch`], [`Error::NonFinite`], [`Error::NotPositiveDefinite`],
     /// [`Error::Inaccurate`], [`Error::OutOfMemory`].
     pub fn new(symbolic: &Arc<Symbolic>, a: &SparseSymmetric, par: Par) -> Result<Self, Error> {
-        let scratch = supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
-            &symbolic.supernodes,
-            par,
-            Default::default(),
-        );
+        // Any factorisation may be done, or repeated, without threads.
+        let scratch = StackReq::any_of(&[Par::Seq, par].map(|par| {
+            supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
+                &symbolic.supernodes,
+                par,
+                Default::default(),
+            )
+        }));
         let mut result = Self {
             factor: vec![0.0; symbolic.factor_entries()],
             permuted: vec![0.0; symbolic.source.len()],
