@@ -2,8 +2,10 @@
 
 mod arrangement;
 mod boxes;
+mod coarsen;
 mod extrude;
 mod input;
+mod polytopes;
 mod simplices;
 mod size;
 mod triangles;
@@ -11,5 +13,6 @@ mod triangles;
 pub use boxes::{cartesian, kershaw, perturb, tag_box};
 pub use extrude::extrude;
 pub use input::{InputError, InputProblem};
+pub use polytopes::{agglomerate, dual};
 pub use simplices::simplices;
 pub use triangles::Triangles;

@@ -17,8 +17,13 @@ pub(crate) fn check(name: &str, mesh: &Mesh) {
         assert!(center.distance(g.face_center[face]) < 1e-12 * (size + offset), "{name}: center of face {face}");
         let vector: Vec3 = g.face_vertex_vector[range].iter().sum();
         assert!(vector.distance(g.face_vector[face]) < 1e-12 * g.face_measure[face], "{name}: vector of face {face}");
+        let normal = g.face_normal(face);
+        let planar = list.iter().all(|&v| (x[v] - x[list[0]]).dot(normal).abs() < 1e-12 * (size + offset));
+        if planar {
+            let length = g.face_vector[face].length();
+            assert!((g.face_measure[face] - length).abs() < 1e-11 * length, "{name}: measure of face {face}");
+        }
         let (first, second) = mesh.face_cells(face);
-        // Star-shaped cells only: seen from the first cell the normal points away.
         if let Some(second) = second {
             assert_ne!(first, second, "{name}: cells of face {face}");
         }
