@@ -13,7 +13,7 @@
 //! Where the fracture has a normal stiffness k_n, ⟦u⟧_n = λ_n/k_n takes the place of ⟦u⟧_n = 0, also in b_n.
 //! All vectors are in the basis (n⁺, t₁, t₂) of the face.
 
-use crate::model::{Friction, FractureLaw};
+use crate::model::{FractureLaw, Friction};
 
 /// A vector in the basis of a fracture face; in 2D the last component is 0.
 pub(crate) type Local = [f64; 3];

@@ -110,7 +110,9 @@ pub enum MechanicsError {
     },
     /// Singular: the linearised contact problem has no unique solution, for instance because open
     /// fractures set a piece of the body free.
-    #[error("the linearised contact problem is singular ({open} faces open, {slipping} slipping): a piece of the body may be free to move")]
+    #[error(
+        "the linearised contact problem is singular ({open} faces open, {slipping} slipping): a piece of the body may be free to move"
+    )]
     Singular {
         /// Open faces.
         open: usize,

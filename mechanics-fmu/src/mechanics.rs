@@ -250,20 +250,15 @@ impl Mechanics {
 
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
-        let problem = FractureProblem {
-            dim: d,
-            schur: &self.system.schur,
-            faces: &self.faces,
-            settings: self.model.newton,
-        };
+        let problem =
+            FractureProblem { dim: d, schur: &self.system.schur, faces: &self.faces, settings: self.model.newton };
         let data = FractureData {
             rhs: self.work.forward.condensed(),
             previous: previous_jump,
             origin: &previous.initial_jump,
             partners: &partners,
         };
-        let solution =
-            problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
+        let solution = problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
@@ -644,9 +639,8 @@ impl Mechanics {
     fn function_values(&self, state: &State, cell: usize) -> Vec<f64> {
         let d = self.mesh.dim();
         let unknowns = self.system.space.unknowns(&self.mesh, cell);
-        let own: Vec<f64> = (unknowns.entities.iter())
-            .flat_map(|&e| state.unknowns[e as usize * d..][..d].iter().copied())
-            .collect();
+        let own: Vec<f64> =
+            (unknowns.entities.iter()).flat_map(|&e| state.unknowns[e as usize * d..][..d].iter().copied()).collect();
         match &unknowns.bubbles {
             None => own,
             Some(p) => p.chunks_exact(own.len()).map(|row| row.iter().zip(&own).map(|(p, v)| p * v).sum()).collect(),
@@ -654,13 +648,7 @@ impl Mechanics {
     }
 
     /// The terms of the energy balance of a step. `loads` are the forces without, `rhs` with the pressures' given part.
-    fn energy(
-        &self,
-        previous: &State,
-        state: &State,
-        loads: &[f64],
-        rhs: &[f64],
-    ) -> Result<Energy, MechanicsError> {
+    fn energy(&self, previous: &State, state: &State, loads: &[f64], rhs: &[f64]) -> Result<Energy, MechanicsError> {
         let d = self.mesh.dim();
         // The pressures' actual forces: those given, less what follows the deformation.
         let mut pressure: Vec<f64> = rhs.iter().zip(loads).map(|(r, l)| r - l).collect();

@@ -211,7 +211,12 @@ impl Model {
         for (name, m) in &self.materials {
             let mut check = |ok: bool, parameter, value, allowed| {
                 if !ok {
-                    problems.push(ModelProblem::Parameter { place: format!("region \"{name}\""), parameter, value, allowed });
+                    problems.push(ModelProblem::Parameter {
+                        place: format!("region \"{name}\""),
+                        parameter,
+                        value,
+                        allowed,
+                    });
                 }
             };
             let Material { young_modulus: e, poisson_ratio: nu, biot_coefficient: b } = *m;

@@ -180,9 +180,7 @@ impl FractureProblem<'_> {
 
     fn states(&self, data: &FractureData<'_>, jump: &[f64], lambda: &[f64]) -> Vec<ContactState> {
         (0..self.faces.len())
-            .map(|i| {
-                self.faces[i].state(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i))
-            })
+            .map(|i| self.faces[i].state(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i)))
             .collect()
     }
 

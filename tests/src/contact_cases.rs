@@ -47,7 +47,11 @@ pub mod manufactured {
             let (g, gx, gy) = (-s * cy, -k * c * cy, k * s * sy);
             (
                 Vec3::new(g * p, p, x.x * x.x * p),
-                [Vec3::new(gx * p, gy * p, g * p1), Vec3::new(0.0, 0.0, p1), Vec3::new(2.0 * x.x * p, 0.0, x.x * x.x * p1)],
+                [
+                    Vec3::new(gx * p, gy * p, g * p1),
+                    Vec3::new(0.0, 0.0, p1),
+                    Vec3::new(2.0 * x.x * p, 0.0, x.x * x.x * p1),
+                ],
             )
         } else {
             let (h, h1, int) = (c, -k * s, s / k);
@@ -233,10 +237,7 @@ pub mod single_crack {
             (error / size).sqrt()
         };
         let inner = profile.iter().filter(|p| p[0].abs() < 0.9 * HALF_LENGTH);
-        [
-            ratio(&mut profile.iter().map(|p| (p[1], slip(p[0])))),
-            ratio(&mut inner.map(|p| (p[2], normal_multiplier()))),
-        ]
+        [ratio(&mut profile.iter().map(|p| (p[1], slip(p[0])))), ratio(&mut inner.map(|p| (p[2], normal_multiplier())))]
     }
 }
 

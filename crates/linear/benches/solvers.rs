@@ -8,14 +8,10 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
-use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymmetricOrdering, factorize_symbolic_cholesky,
-};
+use faer::sparse::linalg::cholesky::{CholeskySymbolicParams, LltRef, SymmetricOrdering, factorize_symbolic_cholesky};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Side};
-use linear::{
-    Cholesky, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic,
-};
+use linear::{Cholesky, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic};
 
 /// Cells of a grid of `n` vertices along each of `dim` axes.
 fn grid(n: usize, dim: usize) -> Vec<Vec<u32>> {
@@ -80,10 +76,7 @@ fn case(name: &str, n: usize, dim: usize, d: usize, m: usize, method: Method) {
         }
     });
     let unknowns = pattern.len();
-    println!(
-        "\n{name}: {unknowns} unknowns, {} entries, {method:?}",
-        pattern.entries()
-    );
+    println!("\n{name}: {unknowns} unknowns, {} entries, {method:?}", pattern.entries());
     println!("  pattern {t_pattern:.3} s, assembly {t_assembly:.3} s");
 
     // Trailing: the unknowns of a plane through the middle, as a fracture would have.
@@ -128,9 +121,7 @@ fn case(name: &str, n: usize, dim: usize, d: usize, m: usize, method: Method) {
                     (cholesky.backward(&forward, &x_g, &mut x, &mut scratch)).unwrap();
                 });
                 let t_schur = time(1, || drop(cholesky.schur().unwrap()));
-                println!(
-                    "      forward {t_forward:.4} s, backward {t_backward:.4} s, schur {t_schur:.3} s"
-                );
+                println!("      forward {t_forward:.4} s, backward {t_backward:.4} s, schur {t_schur:.3} s");
             }
         }
     }
@@ -193,11 +184,7 @@ fn bare(a: &SparseSymmetric, order: &[u32], par: Par, t_factor: f64, t_solve: f6
         t_factor / t_bare,
         t_solve / t_bare_solve
     );
-    println!(
-        "      reading the factor twice {:.4} s (ratio {:.2})",
-        2.0 * t_read,
-        t_solve / (2.0 * t_read)
-    );
+    println!("      reading the factor twice {:.4} s (ratio {:.2})", 2.0 * t_read, t_solve / (2.0 * t_read));
 }
 
 /// Reads all values with independent sums.

@@ -75,9 +75,7 @@ impl Symbolic {
         let (col_ptr, source) = bucket_sort(n, &columns, &by_rows);
         let row_idx: Vec<u32> = source.iter().map(|&k| rows[k as usize]).collect();
         let (upper_ptr, upper_source) = bucket_sort(n, &rows, &source);
-        let upper_row: Vec<u32> = (upper_source.iter())
-            .map(|&k| columns[k as usize])
-            .collect();
+        let upper_row: Vec<u32> = (upper_source.iter()).map(|&k| columns[k as usize]).collect();
 
         let upper = SymbolicSparseColMatRef::new_checked(n, n, &upper_ptr, None, &upper_row);
         let scratch = StackReq::any_of(&[
@@ -88,8 +86,7 @@ impl Symbolic {
         let stack = MemStack::new(&mut memory);
         let mut parents = vec![0i32; n];
         let mut counts = vec![0u32; n];
-        let tree =
-            simplicial::prefactorize_symbolic_cholesky(&mut parents, &mut counts, upper, stack);
+        let tree = simplicial::prefactorize_symbolic_cholesky(&mut parents, &mut counts, upper, stack);
         let supernodes = supernodal::factorize_supernodal_symbolic_cholesky(
             upper,
             tree,
@@ -98,15 +95,7 @@ impl Symbolic {
             SymbolicSupernodalParams::default(),
         )?;
         let panels = Panels::new(&supernodes, ordering.leading);
-        Ok(Self {
-            pattern: Arc::clone(pattern),
-            ordering,
-            col_ptr,
-            row_idx,
-            source,
-            supernodes,
-            panels,
-        })
+        Ok(Self { pattern: Arc::clone(pattern), ordering, col_ptr, row_idx, source, supernodes, panels })
     }
 
     /// Number of unknowns.
@@ -244,9 +233,7 @@ impl Cholesky {
     /// Those of [`Cholesky::new`]. After an error there is no factor until a later call succeeds.
     pub fn refactorise(&mut self, a: &SparseSymmetric) -> Result<(), Error> {
         self.valid = false;
-        if !Arc::ptr_eq(a.pattern(), &self.symbolic.pattern)
-            && **a.pattern() != *self.symbolic.pattern
-        {
+        if !Arc::ptr_eq(a.pattern(), &self.symbolic.pattern) && **a.pattern() != *self.symbolic.pattern {
             return Err(Error::PatternMismatch);
         }
         a.check_finite()?;
@@ -264,10 +251,7 @@ impl Cholesky {
             residual = self.test_residual(a);
         }
         if !accurate(residual) {
-            return Err(Error::Inaccurate {
-                residual,
-                tolerance: MAX_RESIDUAL,
-            });
+            return Err(Error::Inaccurate { residual, tolerance: MAX_RESIDUAL });
         }
         self.valid = true;
         Ok(())
@@ -276,8 +260,7 @@ impl Cholesky {
     fn factorise(&mut self, par: Par) -> Result<(), Error> {
         let symbolic = &*self.symbolic;
         let n = symbolic.len();
-        let lower =
-            SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
+        let lower = SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
         supernodal::factorize_supernodal_numeric_llt(
             &mut self.factor,
             SparseColMatRef::new(lower, &self.permuted),
@@ -288,11 +271,9 @@ impl Cholesky {
             Default::default(),
         )
         .map(|_| ())
-        .map_err(
-            |LltError::NonPositivePivot { index }| Error::NotPositiveDefinite {
-                unknown: symbolic.ordering.unknown[index] as usize,
-            },
-        )
+        .map_err(|LltError::NonPositivePivot { index }| Error::NotPositiveDefinite {
+            unknown: symbolic.ordering.unknown[index] as usize,
+        })
     }
 
     /// The scaled residual of a solve with a fixed right-hand side.
@@ -302,9 +283,7 @@ impl Cholesky {
         let b: Vec<f64> = (0..n)
             .map(|_| {
                 // A 64-bit linear congruential generator (Knuth); the top bits are good enough.
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
             })
             .collect();
@@ -317,9 +296,7 @@ impl Cholesky {
             return f64::NAN;
         }
         // Unlike f64::max, keeps NaN.
-        let norm = |v: &mut dyn Iterator<Item = f64>| {
-            v.fold(0.0f64, |m, e| if e.abs() <= m { m } else { e.abs() })
-        };
+        let norm = |v: &mut dyn Iterator<Item = f64>| v.fold(0.0f64, |m, e| if e.abs() <= m { m } else { e.abs() });
         let residual = norm(&mut r.iter().zip(&b).map(|(r, b)| r - b));
         let scale = a.norm() * norm(&mut x.iter().copied()) + norm(&mut b.iter().copied());
         if n == 0 { 0.0 } else { residual / scale }
@@ -412,23 +389,12 @@ impl Cholesky {
     ///
     /// # Errors
     /// [`Error::Dimension`], [`Error::NotFactorised`].
-    pub fn forward(
-        &self,
-        b: &[f64],
-        forward: &mut Forward,
-        scratch: &mut Scratch,
-    ) -> Result<(), Error> {
+    pub fn forward(&self, b: &[f64], forward: &mut Forward, scratch: &mut Scratch) -> Result<(), Error> {
         self.check(b.len())?;
         forward.leading = self.symbolic.ordering.leading;
         forward.values.resize(b.len(), 0.0);
         self.gather(b, &mut forward.values);
-        (self.symbolic.panels).forward(
-            &self.factor,
-            &mut forward.values,
-            true,
-            self.par,
-            &mut scratch.work,
-        );
+        (self.symbolic.panels).forward(&self.factor, &mut forward.values, true, self.par, &mut scratch.work);
         Ok(())
     }
 
@@ -536,13 +502,7 @@ mod tests {
         let width = 4 * size;
         let local: Vec<f64> = (0..width * width)
             .map(|k| (k / width, k % width))
-            .map(|(i, j)| {
-                if i == j {
-                    width as f64
-                } else {
-                    -1.0 / (1 + i + j) as f64
-                }
-            })
+            .map(|(i, j)| if i == j { width as f64 } else { -1.0 / (1 + i + j) as f64 })
             .collect();
         for cell in &cells {
             a.add(cell, &local).unwrap();

@@ -17,21 +17,14 @@ impl Csr {
     ///
     /// # Errors
     /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`].
-    pub fn from_triplets(
-        rows: usize,
-        cols: usize,
-        triplets: &[(u32, u32, f64)],
-    ) -> Result<Self, Error> {
+    pub fn from_triplets(rows: usize, cols: usize, triplets: &[(u32, u32, f64)]) -> Result<Self, Error> {
         index(rows)?;
         index(cols)?;
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
             check_index("column", j as usize, cols)?;
             if !v.is_finite() {
-                return Err(Error::NonFinite {
-                    row: i as usize,
-                    column: j as usize,
-                });
+                return Err(Error::NonFinite { row: i as usize, column: j as usize });
             }
         }
         let mut sorted = triplets.to_vec();
@@ -55,12 +48,7 @@ impl Csr {
         for i in 0..rows {
             row_ptr[i + 1] += row_ptr[i];
         }
-        Ok(Self {
-            cols,
-            row_ptr,
-            col_idx,
-            values,
-        })
+        Ok(Self { cols, row_ptr, col_idx, values })
     }
 
     /// Number of rows.
@@ -106,11 +94,7 @@ impl Csr {
         check_len("y", self.rows(), y.len())?;
         for i in 0..y.len() {
             let (cols, values) = self.row(i);
-            let dot: f64 = cols
-                .iter()
-                .zip(values)
-                .map(|(&j, v)| v * x[j as usize])
-                .sum();
+            let dot: f64 = cols.iter().zip(values).map(|(&j, v)| v * x[j as usize]).sum();
             y[i] += s * dot;
         }
         Ok(())

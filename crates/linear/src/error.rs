@@ -88,29 +88,15 @@ impl From<faer::sparse::FaerError> for Error {
 
 /// `Ok` if `found` is `expected`.
 pub(crate) fn check_len(what: &'static str, expected: usize, found: usize) -> Result<(), Error> {
-    if expected == found {
-        Ok(())
-    } else {
-        Err(Error::Dimension {
-            what,
-            expected,
-            found,
-        })
-    }
+    if expected == found { Ok(()) } else { Err(Error::Dimension { what, expected, found }) }
 }
 
 /// `Ok` if `index < bound`.
 pub(crate) fn check_index(what: &'static str, index: usize, bound: usize) -> Result<(), Error> {
-    if index < bound {
-        Ok(())
-    } else {
-        Err(Error::OutOfRange { what, index, bound })
-    }
+    if index < bound { Ok(()) } else { Err(Error::OutOfRange { what, index, bound }) }
 }
 
 /// `value` as an index, which must be below 2³¹.
 pub(crate) fn index(value: usize) -> Result<u32, Error> {
-    i32::try_from(value)
-        .map(|v| v as u32)
-        .map_err(|_| Error::TooLarge)
+    i32::try_from(value).map(|v| v as u32).map_err(|_| Error::TooLarge)
 }

@@ -33,7 +33,7 @@ mod pattern;
 pub use cholesky::{Cholesky, Forward, MAX_RESIDUAL, Memory, Scratch, Symbolic};
 pub use csr::Csr;
 pub use error::Error;
-pub use gmres::{Krylov, gmres};
 pub use faer::{Mat, MatMut, MatRef, Par};
+pub use gmres::{Krylov, gmres};
 pub use ordering::{Method, Ordering};
 pub use pattern::{Pattern, SparseSymmetric};

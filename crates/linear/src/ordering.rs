@@ -45,10 +45,7 @@ impl Ordering {
         for &unknown in trailing {
             check_index("trailing unknown", unknown as usize, n)?;
             if std::mem::replace(&mut is_trailing[unknown as usize], true) {
-                return Err(Error::Repeated {
-                    what: "trailing unknown",
-                    index: unknown as usize,
-                });
+                return Err(Error::Repeated { what: "trailing unknown", index: unknown as usize });
             }
         }
         let graph = Graph::new(pattern, &is_trailing)?;
@@ -133,8 +130,7 @@ impl Graph {
         let n = self.block.len();
         let pattern = feral_metis::CscPattern::new(n, &self.ptr, &self.adj)
             .ok_or_else(|| Error::Ordering("malformed graph".into()))?;
-        let order = feral_metis::metis_order(&pattern)
-            .map_err(|error| Error::Ordering(format!("{error:?}")))?;
+        let order = feral_metis::metis_order(&pattern).map_err(|error| Error::Ordering(format!("{error:?}")))?;
         Ok(order.into_iter().map(|v| v as u32).collect())
     }
 
@@ -146,13 +142,7 @@ impl Graph {
         let (mut order, mut inverse) = (vec![0u32; n], vec![0u32; n]);
         let scratch = amd::order_scratch::<u32>(n, adj.len());
         let mut memory = MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?;
-        amd::order(
-            &mut order,
-            &mut inverse,
-            pattern,
-            amd::Control::default(),
-            MemStack::new(&mut memory),
-        )?;
+        amd::order(&mut order, &mut inverse, pattern, amd::Control::default(), MemStack::new(&mut memory))?;
         Ok(order)
     }
 

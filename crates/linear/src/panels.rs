@@ -167,9 +167,7 @@ impl Panels {
             .map(|row| row.map(|&row| panel_of[row as usize] as usize))
             .collect();
         self.threads_pay = self.work_per_update(&panel_of) >= PARALLEL_UPDATE;
-        let mut entries: Vec<usize> = (self.panels.iter())
-            .map(|panel| panel.height() * panel.cols)
-            .collect();
+        let mut entries: Vec<usize> = (self.panels.iter()).map(|panel| panel.height() * panel.cols).collect();
         let total: usize = entries.iter().sum();
         let mut first: Vec<usize> = (0..self.panels.len()).collect();
         for p in 0..self.panels.len() {
@@ -182,19 +180,13 @@ impl Panels {
         for p in 0..self.leading {
             if fits(p) && !parent[p].is_some_and(fits) && entries[p] >= total / SUBTREE_MIN_SHARE {
                 let (a, b) = (&self.panels[first[p]], &self.panels[p]);
-                self.subtrees.push(Subtree {
-                    panels: first[p]..p + 1,
-                    unknowns: a.start..b.start + b.cols,
-                });
+                self.subtrees.push(Subtree { panels: first[p]..p + 1, unknowns: a.start..b.start + b.cols });
             }
         }
         self.top_place = vec![0; self.len];
         let mut next = 0;
         let mut next_panel = 0;
-        let end = Subtree {
-            panels: self.panels.len()..self.panels.len(),
-            unknowns: self.len..self.len,
-        };
+        let end = Subtree { panels: self.panels.len()..self.panels.len(), unknowns: self.len..self.len };
         for subtree in self.subtrees.iter().chain([&end]) {
             for unknown in next..subtree.unknowns.start {
                 self.top_place[unknown] = self.top.len() as u32;
@@ -244,14 +236,7 @@ impl Panels {
     }
 
     /// x ← L⁻¹ x for all unknowns; if only `leading`, [y_u; b_g − L21 y_u] with y_u = L11⁻¹ b_u.
-    pub(crate) fn forward(
-        &self,
-        factor: &[f64],
-        x: &mut [f64],
-        leading: bool,
-        par: Par,
-        work: &mut Work,
-    ) {
+    pub(crate) fn forward(&self, factor: &[f64], x: &mut [f64], leading: bool, par: Par, work: &mut Work) {
         self.resize(work);
         let Work { columns, above } = work;
         let n_top = self.top.len();
@@ -331,14 +316,7 @@ impl Panels {
     }
 
     /// x ← L⁻ᵀ x for all unknowns; if only `leading`, x_u ← L11⁻ᵀ (x_u − L21ᵀ x_g).
-    pub(crate) fn backward(
-        &self,
-        factor: &[f64],
-        x: &mut [f64],
-        leading: bool,
-        par: Par,
-        work: &mut Work,
-    ) {
+    pub(crate) fn backward(&self, factor: &[f64], x: &mut [f64], leading: bool, par: Par, work: &mut Work) {
         self.resize(work);
         let Work { columns, above } = work;
         let (column, columns) = columns.split_at_mut(self.tallest);
@@ -384,11 +362,7 @@ impl Panels {
                     let rows = self.rows[panel.rows.clone()].iter();
                     for (&row, c) in rows.zip(&mut column[panel.cols..]) {
                         let row = row as usize;
-                        *c = if row < unknowns.end {
-                            x[row - from]
-                        } else {
-                            top[self.top_place[row] as usize]
-                        };
+                        *c = if row < unknowns.end { x[row - from] } else { top[self.top_place[row] as usize] };
                     }
                     panel.backward(factor, column, Par::Seq);
                     x[own].copy_from_slice(&column[..panel.cols]);
@@ -409,13 +383,7 @@ impl Panels {
     }
 
     /// X ← A⁻¹ X for several right-hand sides, `buffer` holding `tallest × X.ncols()` values.
-    pub(crate) fn solve_many(
-        &self,
-        factor: &[f64],
-        mut x: MatMut<'_, f64>,
-        par: Par,
-        buffer: &mut Vec<f64>,
-    ) {
+    pub(crate) fn solve_many(&self, factor: &[f64], mut x: MatMut<'_, f64>, par: Par, buffer: &mut Vec<f64>) {
         let k = x.ncols();
         buffer.resize(self.tallest * k, 0.0);
         let buffer = &mut buffer[..];
@@ -550,15 +518,7 @@ impl Panel {
 
     /// `head`, for the columns from `j` on, loses their transposes times `tail`, whose first row is
     /// `below` rows below the diagonal entry of column `j`.
-    fn subtract_transposed(
-        &self,
-        factor: &[f64],
-        j: usize,
-        below: usize,
-        head: &mut [f64],
-        tail: &[f64],
-        par: Par,
-    ) {
+    fn subtract_transposed(&self, factor: &[f64], j: usize, below: usize, head: &mut [f64], tail: &[f64], par: Par) {
         if par.degree() > 1 && head.len() * tail.len() > PARALLEL_ENTRIES && head.len() > GROUP {
             let half = (head.len() / 2).next_multiple_of(GROUP);
             let (left, right) = head.split_at_mut(half);
@@ -586,13 +546,7 @@ impl Panel {
     }
 
     /// `B` columns from `j` on, `len` rows from `skip` rows below the diagonal entry of column `j`.
-    fn group<'a, const B: usize>(
-        &self,
-        factor: &'a [f64],
-        j: usize,
-        skip: usize,
-        len: usize,
-    ) -> [&'a [f64]; B] {
+    fn group<'a, const B: usize>(&self, factor: &'a [f64], j: usize, skip: usize, len: usize) -> [&'a [f64]; B] {
         std::array::from_fn(|b| {
             let begin = self.value + (j + b) * self.stride + j + skip;
             &factor[begin..begin + len]

@@ -131,14 +131,7 @@ impl Pattern {
                 col_ptr.push(row_idx.len() as u32);
             }
         }
-        Ok(Self {
-            block_start,
-            block_ptr,
-            block_row,
-            offset,
-            col_ptr,
-            row_idx,
-        })
+        Ok(Self { block_start, block_ptr, block_row, offset, col_ptr, row_idx })
     }
 
     /// Number of unknowns.
@@ -251,10 +244,9 @@ impl SparseSymmetric {
             for &a in blocks {
                 let rows = p.unknowns(a as usize);
                 if a >= b {
-                    let place = list.binary_search(&a).map_err(|_| Error::NotInPattern {
-                        row: a as usize,
-                        column: b as usize,
-                    })?;
+                    let place = list
+                        .binary_search(&a)
+                        .map_err(|_| Error::NotInPattern { row: a as usize, column: b as usize })?;
                     let offset = p.offset[begin + place] as usize;
                     for c in 0..columns.len() {
                         // Within the diagonal block, column c starts at its own row.
@@ -318,9 +310,6 @@ impl SparseSymmetric {
             return Ok(());
         };
         let (col_ptr, row_idx) = self.pattern.lower();
-        Err(Error::NonFinite {
-            row: row_idx[k] as usize,
-            column: col_ptr.partition_point(|&p| p as usize <= k) - 1,
-        })
+        Err(Error::NonFinite { row: row_idx[k] as usize, column: col_ptr.partition_point(|&p| p as usize <= k) - 1 })
     }
 }

@@ -120,62 +120,22 @@ fn wrong_input_is_reported() {
     let cells = [[0u32, 1], [1, 2]];
     assert_eq!(
         Pattern::uniform(2, 2, cells).unwrap_err(),
-        Error::OutOfRange {
-            what: "block of a cell",
-            index: 2,
-            bound: 2
-        }
+        Error::OutOfRange { what: "block of a cell", index: 2, bound: 2 }
     );
-    assert_eq!(
-        Pattern::with_sizes(&[usize::MAX, 1], [[0u32]]).unwrap_err(),
-        Error::TooLarge
-    );
+    assert_eq!(Pattern::with_sizes(&[usize::MAX, 1], [[0u32]]).unwrap_err(), Error::TooLarge);
     let pattern = Arc::new(Pattern::uniform(3, 2, cells).unwrap());
     let mut a = SparseSymmetric::zeros(pattern);
-    assert_eq!(
-        a.add(&[0, 2], &[0.0; 16]).unwrap_err(),
-        Error::NotInPattern { row: 2, column: 0 }
-    );
+    assert_eq!(a.add(&[0, 2], &[0.0; 16]).unwrap_err(), Error::NotInPattern { row: 2, column: 0 });
     assert_eq!(
         a.add(&[0, 1], &[0.0; 4]).unwrap_err(),
-        Error::Dimension {
-            what: "local matrix",
-            expected: 16,
-            found: 4
-        }
+        Error::Dimension { what: "local matrix", expected: 16, found: 4 }
     );
-    assert!(matches!(
-        a.add(&[3], &[0.0; 4]),
-        Err(Error::OutOfRange { index: 3, .. })
-    ));
-    assert!(matches!(
-        a.mul(&[0.0; 6], &mut [0.0; 5]),
-        Err(Error::Dimension {
-            expected: 6,
-            found: 5,
-            ..
-        })
-    ));
-    assert!(matches!(
-        a.mul(&[0.0; 7], &mut [0.0; 6]),
-        Err(Error::Dimension {
-            expected: 6,
-            found: 7,
-            ..
-        })
-    ));
-    assert_eq!(
-        Csr::from_triplets(2, 2, &[(0, 1, f64::NAN)]).unwrap_err(),
-        Error::NonFinite { row: 0, column: 1 }
-    );
-    assert!(matches!(
-        Csr::from_triplets(2, 2, &[(0, 2, 1.0)]),
-        Err(Error::OutOfRange { what: "column", .. })
-    ));
-    assert!(matches!(
-        Csr::from_triplets(2, 2, &[(2, 0, 1.0)]),
-        Err(Error::OutOfRange { what: "row", .. })
-    ));
+    assert!(matches!(a.add(&[3], &[0.0; 4]), Err(Error::OutOfRange { index: 3, .. })));
+    assert!(matches!(a.mul(&[0.0; 6], &mut [0.0; 5]), Err(Error::Dimension { expected: 6, found: 5, .. })));
+    assert!(matches!(a.mul(&[0.0; 7], &mut [0.0; 6]), Err(Error::Dimension { expected: 6, found: 7, .. })));
+    assert_eq!(Csr::from_triplets(2, 2, &[(0, 1, f64::NAN)]).unwrap_err(), Error::NonFinite { row: 0, column: 1 });
+    assert!(matches!(Csr::from_triplets(2, 2, &[(0, 2, 1.0)]), Err(Error::OutOfRange { what: "column", .. })));
+    assert!(matches!(Csr::from_triplets(2, 2, &[(2, 0, 1.0)]), Err(Error::OutOfRange { what: "row", .. })));
     let csr = Csr::from_triplets(2, 3, &[]).unwrap();
     assert!(csr.mul(&[0.0; 2], &mut [0.0; 2]).is_err());
     assert!(csr.mul_transpose(&[0.0; 2], &mut [0.0; 2]).is_err());

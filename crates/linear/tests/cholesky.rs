@@ -7,9 +7,7 @@ use std::sync::Arc;
 use common::{Random, assemble, grid};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
-use linear::{
-    Cholesky, Error, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic,
-};
+use linear::{Cholesky, Error, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic};
 
 const METHODS: [Method; 2] = [Method::Metis, Method::Amd];
 
@@ -31,17 +29,12 @@ fn assert_close(found: &[f64], expected: &Mat<f64>, what: &str) {
     let scale = (expected.col(0).iter()).fold(1.0f64, |m, v| m.max(v.abs()));
     for (i, f) in found.iter().enumerate() {
         let e = expected[(i, 0)];
-        assert!(
-            (f - e).abs() <= 1e-11 * scale,
-            "{what}: at {i} {f}, not {e}"
-        );
+        assert!((f - e).abs() <= 1e-11 * scale, "{what}: at {i} {f}, not {e}");
     }
 }
 
 fn part(a: &Mat<f64>, rows: &[u32], cols: &[u32]) -> Mat<f64> {
-    Mat::from_fn(rows.len(), cols.len(), |i, j| {
-        a[(rows[i] as usize, cols[j] as usize)]
-    })
+    Mat::from_fn(rows.len(), cols.len(), |i, j| a[(rows[i] as usize, cols[j] as usize)])
 }
 
 /// Everything a factorisation offers, against dense blocks.
@@ -179,10 +172,7 @@ fn bits(v: &[f64]) -> Vec<u64> {
 #[test]
 fn refactorising_repeats_the_bits_of_a_fresh_factor() {
     // Small supernodes; and one large enough to be factorised in parallel.
-    for (sizes, cells) in [
-        ([3; 125].to_vec(), grid(5, 5, 5)),
-        ([75; 8].to_vec(), grid(2, 2, 2)),
-    ] {
+    for (sizes, cells) in [([3; 125].to_vec(), grid(5, 5, 5)), ([75; 8].to_vec(), grid(2, 2, 2))] {
         let mut random = Random(40);
         let (first, _) = assemble(&sizes, &cells, &mut random);
         let (second, _) = assemble(&sizes, &cells, &mut random);
@@ -235,10 +225,7 @@ fn dissection_beats_minimum_degree_in_space() {
     let space = METHODS.map(|method| entries(grid(20, 20, 20), 8000, method));
     assert!(space[0] * 10 < space[1] * 8, "{space:?}");
     let plane = METHODS.map(|method| entries(grid(64, 64, 1), 4096, method));
-    assert!(
-        plane[0] < plane[1] * 12 / 10 && plane[1] < plane[0] * 12 / 10,
-        "{plane:?}"
-    );
+    assert!(plane[0] < plane[1] * 12 / 10 && plane[1] < plane[0] * 12 / 10, "{plane:?}");
     // A natural order of the plane would fill its band: 64 · 3 rows in each column.
     assert!(plane[0] < 3 * 4096 * 192 * 2 / 3, "{plane:?}");
 }
@@ -260,34 +247,20 @@ fn wrong_input_is_reported() {
     let pattern = a.pattern();
     assert_eq!(
         Ordering::new(pattern, Method::Amd, &[3, 72]).unwrap_err(),
-        Error::OutOfRange {
-            what: "trailing unknown",
-            index: 72,
-            bound: 72
-        }
+        Error::OutOfRange { what: "trailing unknown", index: 72, bound: 72 }
     );
     assert_eq!(
         Ordering::new(pattern, Method::Amd, &[3, 4, 3]).unwrap_err(),
-        Error::Repeated {
-            what: "trailing unknown",
-            index: 3
-        }
+        Error::Repeated { what: "trailing unknown", index: 3 }
     );
     let other = Arc::new(Pattern::uniform(72, 1, [[0u32, 71]]).unwrap());
     let one = Arc::new(Pattern::uniform(1, 1, [[0u32]]).unwrap());
     assert!(matches!(
         Symbolic::new(&one, Ordering::new(pattern, Method::Amd, &[]).unwrap()),
-        Err(Error::Dimension {
-            what: "ordering",
-            expected: 1,
-            found: 72
-        })
+        Err(Error::Dimension { what: "ordering", expected: 1, found: 72 })
     ));
     let symbolic = symbolic(pattern, Method::Metis, &[7, 3]);
-    assert_eq!(
-        Cholesky::new(&symbolic, &SparseSymmetric::zeros(other), Par::Seq).unwrap_err(),
-        Error::PatternMismatch
-    );
+    assert_eq!(Cholesky::new(&symbolic, &SparseSymmetric::zeros(other), Par::Seq).unwrap_err(), Error::PatternMismatch);
 
     // An equal pattern built elsewhere is accepted.
     let mut same = SparseSymmetric::zeros(Arc::new((**pattern).clone()));
@@ -298,60 +271,30 @@ fn wrong_input_is_reported() {
     let mut forward = Forward::default();
     assert!(matches!(
         cholesky.solve(&mut [0.0; 71], &mut scratch),
-        Err(Error::Dimension {
-            expected: 72,
-            found: 71,
-            ..
-        })
+        Err(Error::Dimension { expected: 72, found: 71, .. })
     ));
     assert!(matches!(
         cholesky.solve_many(Mat::zeros(73, 2).as_mut(), &mut scratch),
-        Err(Error::Dimension {
-            expected: 72,
-            found: 73,
-            ..
-        })
+        Err(Error::Dimension { expected: 72, found: 73, .. })
     ));
-    assert!(
-        cholesky
-            .forward(&[0.0; 71], &mut forward, &mut scratch)
-            .is_err()
-    );
+    assert!(cholesky.forward(&[0.0; 71], &mut forward, &mut scratch).is_err());
     let x = &mut [0.0; 72];
     assert!(matches!(
         cholesky.backward(&forward, &[0.0; 2], x, &mut scratch),
-        Err(Error::Dimension {
-            what: "forward",
-            ..
-        })
+        Err(Error::Dimension { what: "forward", .. })
     ));
-    cholesky
-        .forward(&[0.0; 72], &mut forward, &mut scratch)
-        .unwrap();
+    cholesky.forward(&[0.0; 72], &mut forward, &mut scratch).unwrap();
     assert!(matches!(
         cholesky.backward(&forward, &[0.0; 3], x, &mut scratch),
-        Err(Error::Dimension {
-            what: "trailing values",
-            expected: 2,
-            found: 3
-        })
+        Err(Error::Dimension { what: "trailing values", expected: 2, found: 3 })
     ));
 
     // Entry k of the values: its row and column.
     let (ptr, row) = pattern.lower();
     let k = ptr[20] as usize + 1;
     same.values_mut()[k] = f64::INFINITY;
-    assert_eq!(
-        cholesky.refactorise(&same).unwrap_err(),
-        Error::NonFinite {
-            row: row[k] as usize,
-            column: 20
-        }
-    );
-    assert_eq!(
-        cholesky.solve(x, &mut scratch).unwrap_err(),
-        Error::NotFactorised
-    );
+    assert_eq!(cholesky.refactorise(&same).unwrap_err(), Error::NonFinite { row: row[k] as usize, column: 20 });
+    assert_eq!(cholesky.solve(x, &mut scratch).unwrap_err(), Error::NotFactorised);
     assert_eq!(cholesky.schur().unwrap_err(), Error::NotFactorised);
 
     for unknown in 0..72 {
@@ -370,11 +313,5 @@ fn inaccuracy_is_reported() {
     let mut a = SparseSymmetric::zeros(Arc::clone(&pattern));
     a.add(&[0], &[1e-320, 0.0, 0.0, 1e-320]).unwrap();
     let error = Cholesky::new(&symbolic(&pattern, Method::Amd, &[]), &a, Par::Seq).unwrap_err();
-    assert!(matches!(
-        error,
-        Error::Inaccurate {
-            tolerance: linear::MAX_RESIDUAL,
-            ..
-        }
-    ));
+    assert!(matches!(error, Error::Inaccurate { tolerance: linear::MAX_RESIDUAL, .. }));
 }

@@ -52,20 +52,14 @@ pub(crate) fn local(random: &mut Random, n: usize) -> Vec<f64> {
 
 /// A matrix whose cells are given, every block with its own diagonal too, so that it is positive
 /// definite; sparse and dense.
-pub(crate) fn assemble(
-    sizes: &[usize],
-    cells: &[Vec<u32>],
-    random: &mut Random,
-) -> (SparseSymmetric, Mat<f64>) {
+pub(crate) fn assemble(sizes: &[usize], cells: &[Vec<u32>], random: &mut Random) -> (SparseSymmetric, Mat<f64>) {
     let single = (0..sizes.len() as u32).map(|b| vec![b]);
     let cells: Vec<Vec<u32>> = cells.iter().cloned().chain(single).collect();
     let pattern = Arc::new(Pattern::with_sizes(sizes, &cells).unwrap());
     let mut sparse = SparseSymmetric::zeros(Arc::clone(&pattern));
     let mut dense = Mat::zeros(pattern.len(), pattern.len());
     for cell in &cells {
-        let unknowns: Vec<usize> = (cell.iter())
-            .flat_map(|&b| pattern.unknowns(b as usize))
-            .collect();
+        let unknowns: Vec<usize> = (cell.iter()).flat_map(|&b| pattern.unknowns(b as usize)).collect();
         let k = local(random, unknowns.len());
         sparse.add(cell, &k).unwrap();
         for (r, &i) in unknowns.iter().enumerate() {
