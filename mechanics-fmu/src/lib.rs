@@ -29,9 +29,10 @@ mod system;
 
 pub use contact::ContactState;
 pub use error::{MechanicsError, ModelProblem};
-pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport};
+pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport, StepTimes};
 pub use model::{
     BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, Place,
 };
 pub use newton::NewtonReport;
 pub use space::Space;
+pub use system::SetupReport;

@@ -1,6 +1,7 @@
 //! The mechanical problem in time: states, steps, and what they give.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use linear::{Forward, Scratch};
 use mesh::{Mesh, Vec3};
@@ -11,7 +12,7 @@ use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
 use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport};
 use crate::space::Space;
-use crate::system::{System, boundary_nodes};
+use crate::system::{SetupReport, System, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -98,6 +99,23 @@ pub struct StepReport {
     pub change: f64,
     /// Terms of the energy balance.
     pub energy: Energy,
+    /// Wall time of its parts.
+    pub times: StepTimes,
+}
+
+/// Wall time of the parts of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepTimes {
+    /// Right-hand side.
+    pub loads: Duration,
+    /// Elimination of the bulk from the right-hand side: the first half of a triangular solve.
+    pub forward: Duration,
+    /// Newton's method on the fracture.
+    pub newton: Duration,
+    /// Displacements from the jumps: the second half of the triangular solve.
+    pub backward: Duration,
+    /// Energy terms.
+    pub energy: Duration,
 }
 
 /// The result of a step.
@@ -196,9 +214,9 @@ impl Mechanics {
         self.system.factorisations
     }
 
-    /// Entries in the factor of the bulk.
-    pub fn factor_entries(&self) -> usize {
-        self.system.cholesky.memory().factor_entries
+    /// What the set-up took and made.
+    pub fn setup(&self) -> &SetupReport {
+        &self.system.setup
     }
 
     /// The body at rest: no displacement, no traction, all fractures in contact.
@@ -233,6 +251,12 @@ impl Mechanics {
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
         self.check_partner(partner)?;
         self.follow(partner)?;
+        let mut times = StepTimes::default();
+        let mut clock = Instant::now();
+        let mut lap = |part: &mut Duration| {
+            *part = clock.elapsed();
+            clock = Instant::now();
+        };
         let d = self.mesh.dim();
         let loads = self.loads(time)?;
         let mut rhs = loads.clone();
@@ -246,7 +270,9 @@ impl Mechanics {
         let mut full = rhs.clone();
         self.system.fixed_rows.mul_transpose_add(-1.0, &fixed, &mut full)?;
         let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
+        lap(&mut times.loads);
         self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
+        lap(&mut times.forward);
 
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
@@ -264,7 +290,9 @@ impl Mechanics {
             violation: solution.violation,
             change: solution.change,
             energy: Energy::default(),
+            times,
         };
+        lap(&mut report.times.newton);
         if !solution.converged {
             return Ok(Outcome::NotConverged(report));
         }
@@ -273,6 +301,7 @@ impl Mechanics {
         for (&u, x) in self.system.free.iter().zip(x) {
             unknowns[u as usize] = x;
         }
+        lap(&mut report.times.backward);
         let state = State {
             time,
             unknowns,
@@ -284,6 +313,7 @@ impl Mechanics {
             history: Linearisation { previous_jump: previous_jump.to_vec(), partners },
         };
         report.energy = self.energy(previous, &state, &loads, &rhs)?;
+        lap(&mut report.times.energy);
         Ok(Outcome::Converged(state, report))
     }
 

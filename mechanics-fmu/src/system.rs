@@ -10,6 +10,7 @@
 //! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use linear::{Cholesky, Csr, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
 use mesh::{Mesh, Vec3};
@@ -40,6 +41,25 @@ pub(crate) struct CellMaterial {
     pub(crate) plane_strain_modulus: f64,
 }
 
+/// Wall time of the parts of the set-up, and what it made.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SetupReport {
+    /// Numbering, fill-reducing order and symbolic analysis.
+    pub analysis: Duration,
+    /// Local matrices and their sum.
+    pub assembly: Duration,
+    /// Factorisation, its check included.
+    pub factorisation: Duration,
+    /// The Schur complement on the fracture, from the factor.
+    pub condensation: Duration,
+    /// Free unknowns, jumps included.
+    pub unknowns: usize,
+    /// Entries in the factor.
+    pub factor_entries: usize,
+    /// Bytes of the factor, and of the factor with all that goes with it.
+    pub factor_bytes: [usize; 2],
+}
+
 /// The assembled operators; vectors over all unknowns are in the numbering of [`Space`].
 pub(crate) struct System {
     pub(crate) space: Space,
@@ -55,6 +75,7 @@ pub(crate) struct System {
     pub(crate) cholesky: Cholesky,
     pub(crate) schur: faer::Mat<f64>,
     pub(crate) factorisations: usize,
+    pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
 }
 
@@ -82,6 +103,11 @@ impl System {
             })
             .collect();
 
+        let mut clock = Instant::now();
+        let mut lap = || {
+            let last = std::mem::replace(&mut clock, Instant::now());
+            clock - last
+        };
         let unknown_count = dim * space.entity_count();
         let mut is_fixed = vec![false; unknown_count];
         fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
@@ -102,12 +128,27 @@ impl System {
         let method = if dim == 2 { Method::Amd } else { Method::Metis };
         let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &jumps)?)?);
 
+        let analysis = lap();
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let (fixed_rows, divergence) =
             assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
+        let assembly = lap();
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
+        let factorisation = lap();
         let schur = cholesky.schur()?;
+        let condensation = lap();
+        let memory = cholesky.memory();
+        let setup = SetupReport {
+            analysis,
+            assembly,
+            factorisation,
+            condensation,
+            unknowns: free.len(),
+            factor_entries: memory.factor_entries,
+            factor_bytes: [memory.factor_bytes, memory.total_bytes],
+        };
         Ok(Self {
+            setup,
             space,
             materials,
             fixed,
