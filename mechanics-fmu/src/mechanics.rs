@@ -603,8 +603,9 @@ impl Mechanics {
             partners: &state.history.partners,
         };
         let jump = state.jump(&self.system.space);
-        let laws = problem.linearise(&data, &state.contact, jump, &state.multiplier);
-        problem.response(&laws, &mut state.factor.clone(), change).map_err(|_| self.singular(&state.contact))
+        problem
+            .response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change)
+            .map_err(|_| self.singular(&state.contact))
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.

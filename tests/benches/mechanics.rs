@@ -42,7 +42,12 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
     let mut mechanics = Mechanics::new(Arc::new(mesh), model).unwrap_or_else(|e| panic!("{e}"));
     let total = start.elapsed();
     let s = *mechanics.setup();
-    println!("  set-up          {:9.1} ms, {} unknowns, {:.2} M in the factor", ms(total), s.unknowns, s.factor_entries as f64 / 1e6);
+    println!(
+        "  set-up          {:9.1} ms, {} unknowns, {:.2} M in the factor",
+        ms(total),
+        s.unknowns,
+        s.factor_entries as f64 / 1e6
+    );
     println!("    analysis      {:9.1} ms", ms(s.analysis));
     let ratio = s.assembly.as_secs_f64() / s.factorisation.as_secs_f64();
     println!("    assembly      {:9.1} ms, {ratio:.2} factorisations", ms(s.assembly));
@@ -63,7 +68,12 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
     }
     step("the last again", 500.0, &state);
     let peak = peak();
-    println!("  memory: factor {:.0} MB, peak above the mesh {:.0} MB, {:.2} factors", mb(s.factor_bytes[0]), mb(peak - before), (peak - before) as f64 / s.factor_bytes[0] as f64);
+    println!(
+        "  memory: factor {:.0} MB, peak above the mesh {:.0} MB, {:.2} factors",
+        mb(s.factor_bytes[0]),
+        mb(peak - before),
+        (peak - before) as f64 / s.factor_bytes[0] as f64
+    );
 }
 
 fn show(label: &str, total: Duration, r: &StepReport) {

@@ -4,7 +4,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, Outcome, Partner, Place, State, StepReport,
+    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, Outcome, Partner,
+    Place, State, StepReport,
 };
 use mesh::generate::{Triangles, extrude, simplices};
 use mesh::{Mesh, MeshData, Vec3};
