@@ -37,6 +37,9 @@ pub(crate) struct Face {
     pub(crate) measure: f64,
     /// β (Pa/m).
     pub(crate) beta: f64,
+    /// A stiffness across the slip (Pa/m) that is as good as rigid. An infinite one, where a slip has only begun, would
+    /// drown the stiffness along it in single precision.
+    rigid: f64,
     pub(crate) friction: Friction,
     /// tan ψ.
     pub(crate) dilation: f64,
@@ -72,10 +75,18 @@ fn norm(v: &[f64]) -> f64 {
 }
 
 impl Face {
-    pub(crate) fn new(law: &FractureLaw, measure: f64, beta: f64, contact_aperture: f64) -> Self {
+    /// `stiffness` is that of the bulk against a jump of this face alone (Pa/m), β the part `beta_factor` of it.
+    pub(crate) fn new(
+        law: &FractureLaw,
+        measure: f64,
+        stiffness: f64,
+        beta_factor: f64,
+        contact_aperture: f64,
+    ) -> Self {
         Self {
             measure,
-            beta,
+            beta: beta_factor * stiffness,
+            rigid: 1e4 * stiffness,
             friction: law.friction,
             dilation: law.dilation_angle.tan(),
             compliance: law.normal_stiffness.map_or(0.0, |k| 1.0 / k),
@@ -196,7 +207,7 @@ impl Face {
         let length = norm(&b[1..]);
         let (e, ratio) =
             if length > 0.0 { ([b[1] / length, b[2] / length], self.bound(b[0]) / length) } else { ([0.0; 2], 0.0) };
-        let kappa = self.beta * ratio / (1.0 - ratio);
+        let kappa = (self.beta * ratio / (1.0 - ratio)).min(self.rigid);
         let f = self.coefficient();
         let fixed_bound = self.bound(0.0);
         for i in 1..dim {

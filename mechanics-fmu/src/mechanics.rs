@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::contact::{ContactState, Face, FacePartner, Local};
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
-use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport};
+use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur};
 use crate::space::Space;
 use crate::system::{SetupReport, System, boundary_nodes};
 
@@ -65,14 +65,24 @@ pub struct State {
     /// Jump at the initial state (m), from which the slip of dilation counts: fracture faces × d.
     pub initial_jump: Vec<f64>,
     pub(crate) factor: Option<Arc<FaceFactor>>,
-    pub(crate) history: Linearisation,
+    pub(crate) history: History,
 }
 
-/// What the linearised response at a state needs to know of the step that led to it.
+/// What is remembered of the step that led to a state, for the linearised response and the first guess of the next.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Linearisation {
+pub(crate) struct History {
     previous_jump: Vec<f64>,
+    time_step: f64,
     partners: Vec<FacePartner>,
+}
+
+impl History {
+    /// The increment of the jump if it goes on at the same rate.
+    fn extrapolate(&self, jump: &[f64], time_step: f64) -> Option<Vec<f64>> {
+        let factor = time_step / self.time_step;
+        let increment = jump.iter().zip(&self.previous_jump).map(|(g, p)| factor * (g - p));
+        (self.time_step > 0.0 && factor.is_finite()).then(|| increment.collect())
+    }
 }
 
 /// Terms of the energy balance of a step (J, per metre of thickness in 2D).
@@ -187,8 +197,8 @@ impl Mechanics {
         let faces = (apertures.iter().zip(&network.faces).enumerate())
             .map(|(i, (&(law, aperture), &face))| {
                 let measure = geometry.face_measure[face];
-                let local = (0..d).map(|c| system.schur[(i * d + c, i * d + c)]).sum::<f64>() / d as f64;
-                Face::new(law, measure, model.newton.beta_factor * local / measure, aperture)
+                let local = (0..d).map(|c| f64::from(system.schur[(i * d + c, i * d + c)])).sum::<f64>() / d as f64;
+                Face::new(law, measure, local / measure, model.newton.beta_factor, aperture)
             })
             .collect();
         Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), work: Work::default() })
@@ -230,8 +240,9 @@ impl Mechanics {
             initial_divergence: vec![0.0; self.mesh.cell_count()],
             initial_jump: vec![0.0; jumps],
             factor: None,
-            history: Linearisation {
+            history: History {
                 previous_jump: vec![0.0; jumps],
+                time_step: 0.0,
                 partners: vec![FacePartner::default(); self.faces.len()],
             },
         }
@@ -276,13 +287,14 @@ impl Mechanics {
 
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
-        let problem =
-            FractureProblem { dim: d, schur: &self.system.schur, faces: &self.faces, settings: self.model.newton };
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
             previous: previous_jump,
             origin: &previous.initial_jump,
             partners: &partners,
+            guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
         let solution = problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
         let mut report = StepReport {
@@ -310,11 +322,20 @@ impl Mechanics {
             initial_divergence: previous.initial_divergence.clone(),
             initial_jump: previous.initial_jump.clone(),
             factor: solution.factor,
-            history: Linearisation { previous_jump: previous_jump.to_vec(), partners },
+            history: History { previous_jump: previous_jump.to_vec(), time_step: time - previous.time, partners },
         };
         report.energy = self.energy(previous, &state, &loads, &rhs)?;
         lap(&mut report.times.energy);
         Ok(Outcome::Converged(state, report))
+    }
+
+    fn fracture_problem<'a>(&'a self, add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync)) -> FractureProblem<'a> {
+        FractureProblem {
+            dim: self.mesh.dim(),
+            schur: Schur { single: self.system.schur.as_ref(), add_product },
+            faces: &self.faces,
+            settings: self.model.newton,
+        }
     }
 
     fn singular(&self, states: &[ContactState]) -> MechanicsError {
@@ -590,17 +611,14 @@ impl Mechanics {
 
     /// The change of the jump for a change of the condensed right-hand side.
     fn jump_response(&self, state: &State, change: &[f64]) -> Result<Vec<f64>, MechanicsError> {
-        let problem = FractureProblem {
-            dim: self.mesh.dim(),
-            schur: &self.system.schur,
-            faces: &self.faces,
-            settings: self.model.newton,
-        };
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: change,
             previous: &state.history.previous_jump,
             origin: &state.initial_jump,
             partners: &state.history.partners,
+            guess: None,
         };
         let jump = state.jump(&self.system.space);
         problem

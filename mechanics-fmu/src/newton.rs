@@ -7,13 +7,14 @@
 //! ```
 //!
 //! for the increments δ of the jumps during the time step; r is what the bulk exerts if all fractures stick, and c is the
-//! part of the fracture pressure that follows the aperture. S is dense, symmetric positive definite and constant; its
-//! cost is that of the last block of the one factorisation.
+//! part of the fracture pressure that follows the aperture. S is dense, symmetric positive definite and constant, and the
+//! last block of the one factorisation is its factor.
 //!
 //! A Newton iteration decides the contact states from δ and λ, linearises the laws (see [`crate::contact`]), and solves for
-//! the correction of δ by GMRES. The preconditioner is a dense LU factorisation at earlier states, bordered for the
-//! components that have become known or unknown since, and kept as long as few iterations do. It belongs to the state: a
-//! step repeated from the same state repeats bit for bit.
+//! the correction of δ by GMRES. The forces are computed in double precision, from the factor; the corrections with a copy
+//! of S in single precision, which is reading and storing half as much. The preconditioner is a dense LU factorisation
+//! at earlier states, bordered for the components that have become known or unknown since, and kept as long as few
+//! iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
@@ -21,8 +22,10 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use faer::linalg::solvers::{PartialPivLu, Solve};
-use faer::{Mat, Par};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::lu::partial_pivoting::solve::{solve_in_place, solve_in_place_scratch};
+use faer::linalg::solvers::PartialPivLu;
+use faer::{Mat, MatMut, MatRef, Par};
 
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::model::NewtonSettings;
@@ -45,9 +48,18 @@ const SWEEPS: usize = 5;
 /// The contact problem on all fracture faces.
 pub(crate) struct FractureProblem<'a> {
     pub(crate) dim: usize,
-    pub(crate) schur: &'a Mat<f64>,
+    pub(crate) schur: Schur<'a>,
     pub(crate) faces: &'a [Face],
     pub(crate) settings: NewtonSettings,
+}
+
+/// The Schur complement of the bulk on the jumps.
+#[derive(Clone, Copy)]
+pub(crate) struct Schur<'a> {
+    /// In single precision.
+    pub(crate) single: MatRef<'a, f32>,
+    /// y += S x in double precision.
+    pub(crate) add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
 }
 
 /// The data of a time step.
@@ -59,6 +71,8 @@ pub(crate) struct FractureData<'a> {
     /// Slip is counted from here (m): faces × d.
     pub(crate) origin: &'a [f64],
     pub(crate) partners: &'a [FacePartner],
+    /// A first guess of the increment (m), taken if it is better than none.
+    pub(crate) guess: Option<Vec<f64>>,
 }
 
 /// Jumps, the forces that the bulk exerts on the faces, and what follows from both.
@@ -79,22 +93,28 @@ struct Iterate {
 pub(crate) struct FaceFactor {
     laws: Vec<Linearised>,
     unknowns: Vec<usize>,
-    lu: PartialPivLu<f64>,
+    lu: PartialPivLu<f32>,
 }
 
 /// A [`FaceFactor`] used for other laws. Exact where these differ only in which components are given: a component that
 /// has become known is held by a Lagrange multiplier, one that has become unknown is appended.
-struct Preconditioner<'a> {
-    factor: &'a FaceFactor,
+struct Preconditioner {
+    factor: Arc<FaceFactor>,
     /// Components that have become unknown.
     added: Vec<usize>,
     /// Places in `factor.unknowns` of those that have become known.
     removed: Vec<usize>,
     /// Rows of the added components over the factor's unknowns.
-    added_rows: Mat<f64>,
+    added_rows: Mat<f32>,
     /// Factor's inverse times the columns of the border.
-    columns: Mat<f64>,
-    corner: PartialPivLu<f64>,
+    columns: Mat<f32>,
+    corner: PartialPivLu<f32>,
+}
+
+/// The preconditioners of a step: the factor that the next step will start from, and its last use.
+struct Workshop {
+    factor: Option<Arc<FaceFactor>>,
+    last: Option<Preconditioner>,
 }
 
 impl std::fmt::Debug for FaceFactor {
@@ -145,21 +165,6 @@ impl FractureProblem<'_> {
         jump
     }
 
-    /// y += S x.
-    fn add_schur(&self, x: &[f64], y: &mut [f64]) {
-        let m = x.len();
-        // Below this the threads cost more than they bring.
-        let par = if m > 400 { faer::get_global_parallelism() } else { Par::Seq };
-        faer::linalg::matmul::matmul(
-            faer::MatMut::from_column_major_slice_mut(y, m, 1),
-            faer::Accum::Add,
-            self.schur,
-            faer::MatRef::from_column_major_slice(x, m, 1),
-            1.0,
-            par,
-        );
-    }
-
     /// All that follows from increments and the forces that go with them.
     fn iterate(&self, data: &FractureData<'_>, increment: Vec<f64>, force: Vec<f64>) -> Iterate {
         let d = self.dim;
@@ -200,19 +205,26 @@ impl FractureProblem<'_> {
     pub(crate) fn solve(
         &self,
         data: &FractureData<'_>,
-        mut factor: Option<Arc<FaceFactor>>,
+        factor: Option<Arc<FaceFactor>>,
     ) -> Result<FractureSolution, SingularFracture> {
         let mut report = NewtonReport::default();
+        let mut workshop = Workshop { factor, last: None };
         let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
-        self.add_schur(data.previous, &mut force);
+        (self.schur.add_product)(data.previous, &mut force);
         let mut at = self.iterate(data, vec![0.0; data.rhs.len()], force);
+        if let Some(guess) = &data.guess {
+            let guessed = self.corrected(data, &at, guess);
+            if guessed.violation < at.violation {
+                at = guessed;
+            }
+        }
         let mut seen = HashSet::new();
         let mut change = 0.0;
         let mut converged = self.faces.is_empty();
         while !converged && report.iterations < self.settings.max_iterations {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
-            let correction = self.solve_linear(&laws, &at.force, &mut factor, &mut report)?;
+            let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report)?;
             let next = self.corrected(data, &at, &correction);
             change = max_abs(&correction);
             let size = (0..self.faces.len()).fold(0.0, |m, i| larger(m, max_abs(&self.jump(data, &next.increment, i))));
@@ -229,13 +241,13 @@ impl FractureProblem<'_> {
         }
         let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
         let Iterate { lambda, states, violation, .. } = at;
-        Ok(FractureSolution { jump, lambda, states, factor, report, converged, violation, change })
+        Ok(FractureSolution { jump, lambda, states, factor: workshop.factor, report, converged, violation, change })
     }
 
     fn corrected(&self, data: &FractureData<'_>, at: &Iterate, correction: &[f64]) -> Iterate {
         let increment = at.increment.iter().zip(correction).map(|(x, c)| x + c).collect();
         let mut force = at.force.clone();
-        self.add_schur(correction, &mut force);
+        (self.schur.add_product)(correction, &mut force);
         self.iterate(data, increment, force)
     }
 
@@ -244,7 +256,7 @@ impl FractureProblem<'_> {
         &self,
         laws: &[Linearised],
         force: &[f64],
-        factor: &mut Option<Arc<FaceFactor>>,
+        workshop: &mut Workshop,
         report: &mut NewtonReport,
     ) -> Result<Vec<f64>, SingularFracture> {
         let d = self.dim;
@@ -259,7 +271,7 @@ impl FractureProblem<'_> {
         }
         let mut force = force.to_vec();
         if correction.iter().any(|&c| c != 0.0) {
-            self.add_schur(&correction, &mut force);
+            (self.schur.add_product)(&correction, &mut force);
         }
         let mut b = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
@@ -275,22 +287,23 @@ impl FractureProblem<'_> {
         let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
         let mut fresh = false;
         loop {
-            let preconditioner = match factor.as_deref().and_then(|f| self.preconditioner(f, laws)) {
+            let preconditioner = match self.preconditioner(workshop, laws) {
                 Some(preconditioner) => preconditioner,
                 None => {
                     report.face_factorisations += 1;
                     fresh = true;
-                    let new = factor.insert(Arc::new(self.face_factor(laws.to_vec())));
-                    self.preconditioner(new, laws).ok_or(SingularFracture)?
+                    workshop.factor = Some(Arc::new(self.face_factor(laws.to_vec())));
+                    self.preconditioner(workshop, laws).ok_or(SingularFracture)?
                 }
             };
-            let apply = |v: &mut [f64]| preconditioner.apply(v);
             let mut x = vec![0.0; b.len()];
-            let done = linear::gmres(&operator, &apply, &b, &mut x, target, KRYLOV);
+            let done = linear::gmres(&operator, &|v: &mut [f64]| preconditioner.apply(v), &b, &mut x, target, KRYLOV);
             report.linear_iterations += done.iterations;
-            let solved = done.residual <= target;
+            // Single precision limits what a fresh factor reaches; Newton's method only needs a reduction.
+            let solved = done.residual <= target || fresh && done.residual <= 0.5 * size;
+            workshop.last = Some(preconditioner);
             if !fresh && (!solved || done.iterations > RENEW_ABOVE) {
-                *factor = None;
+                *workshop = Workshop { factor: None, last: None };
             }
             if solved {
                 correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
@@ -327,16 +340,16 @@ impl FractureProblem<'_> {
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
         // Each solve gains at least a factor of `FORCING`; what an exact derivative needs is well below finite differences.
         const REFINEMENTS: usize = 4;
-        let mut factor = factor;
+        let mut workshop = Workshop { factor, last: None };
         let mut total = vec![0.0; change.len()];
         for _ in 0..REFINEMENTS {
             let mut rest = force.clone();
-            self.add_schur(&total, &mut rest);
+            (self.schur.add_product)(&total, &mut rest);
             for (i, law) in laws.iter_mut().enumerate() {
                 let own = self.local(&total, i);
                 law.constant = std::array::from_fn(|c| (0..self.dim).map(|j| law.h[c][j] * own[j]).sum());
             }
-            let correction = self.solve_linear(&laws, &rest, &mut factor, &mut NewtonReport::default())?;
+            let correction = self.solve_linear(&laws, &rest, &mut workshop, &mut NewtonReport::default())?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
         }
         Ok(total)
@@ -345,37 +358,38 @@ impl FractureProblem<'_> {
     /// The rows of the linearised laws, T S v + H v, zero where the jump is given; v is zero there.
     fn apply_rows(&self, laws: &[Linearised], v: &[f64], out: &mut [f64]) {
         let d = self.dim;
-        out.fill(0.0);
-        self.add_schur(v, out);
+        let x = Mat::from_fn(v.len(), 1, |i, _| v[i] as f32);
+        let mut y = Mat::<f32>::zeros(v.len(), 1);
+        faer::linalg::matmul::matmul(y.as_mut(), faer::Accum::Replace, self.schur.single, &x, 1.0, Par::Seq);
         for (i, law) in laws.iter().enumerate() {
             let at = i * d;
-            let (sv, gv) = (self.local(out, i), self.local(v, i));
+            let own = self.local(v, i);
             for c in 0..d {
                 out[at + c] = match law.given[c] {
                     Some(_) => 0.0,
-                    None => (0..d).map(|j| law.t[c][j] * sv[j] + law.h[c][j] * gv[j]).sum(),
+                    None => (0..d).map(|j| law.t[c][j] * f64::from(y[(at + j, 0)]) + law.h[c][j] * own[j]).sum(),
                 };
             }
         }
     }
 
     /// The same rows as a matrix over some components; the rows of T reach the normal component and their own.
-    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f64> {
+    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f32> {
         let d = self.dim;
         let mut a = Mat::zeros(rows.len(), columns.len());
         for (q, &column) in columns.iter().enumerate() {
-            let s = self.schur.col(column);
+            let s = self.schur.single.col(column);
             for (p, &row) in rows.iter().enumerate() {
                 let (i, c) = (row / d, row % d);
                 let law = &laws[i];
-                let mut v = law.t[c][c] * s[row];
+                let mut v = law.t[c][c] * f64::from(s[row]);
                 if c > 0 && law.t[c][0] != 0.0 {
-                    v += law.t[c][0] * s[i * d];
+                    v += law.t[c][0] * f64::from(s[i * d]);
                 }
                 if column / d == i {
                     v += law.h[c][column % d];
                 }
-                a[(p, q)] = v;
+                a[(p, q)] = v as f32;
             }
         }
         a
@@ -388,9 +402,10 @@ impl FractureProblem<'_> {
         FaceFactor { laws, unknowns, lu }
     }
 
-    /// The use of a factor for given laws; `None` where renewing it is cheaper.
-    fn preconditioner<'a>(&self, factor: &'a FaceFactor, laws: &[Linearised]) -> Option<Preconditioner<'a>> {
+    /// The use of the present factor for given laws; `None` where there is none or renewing it is cheaper.
+    fn preconditioner(&self, workshop: &mut Workshop, laws: &[Linearised]) -> Option<Preconditioner> {
         let d = self.dim;
+        let factor = Arc::clone(workshop.factor.as_ref()?);
         let old = &factor.unknowns;
         let is_known = |laws: &[Linearised], at: usize| laws[at / d].given[at % d].is_some();
         let removed: Vec<usize> = (0..old.len()).filter(|&p| is_known(laws, old[p])).collect();
@@ -399,12 +414,16 @@ impl FractureProblem<'_> {
         if border * BORDER > old.len() {
             return None;
         }
+        // Directions of slip may have turned since; the iterations make up for that.
+        if let Some(last) = workshop.last.take_if(|last| last.added == added && last.removed == removed) {
+            return Some(last);
+        }
         let mut columns = Mat::zeros(old.len(), border);
         columns.as_mut().subcols_mut(0, added.len()).copy_from(self.rows(&factor.laws, old, &added));
         for (k, &p) in removed.iter().enumerate() {
             columns[(p, added.len() + k)] = 1.0;
         }
-        factor.lu.solve_in_place(columns.as_mut());
+        solve_lu(&factor.lu, columns.as_mut());
         let added_rows = self.rows(laws, &added, old);
         let mut corner = Mat::zeros(border, border);
         corner.as_mut().submatrix_mut(0, 0, added.len(), added.len()).copy_from(self.rows(laws, &added, &added));
@@ -423,20 +442,21 @@ impl FractureProblem<'_> {
     /// Nonlinear block Gauss–Seidel sweeps over the faces.
     fn sweep(&self, data: &FractureData<'_>, from: Iterate) -> Iterate {
         let d = self.dim;
-        let Iterate { mut increment, mut force, .. } = from;
+        let Iterate { mut increment, mut force, .. } = from.clone();
         for _ in 0..SWEEPS {
             for i in 0..self.faces.len() {
                 let correction = self.solve_face(data, i, &increment, &force);
                 for c in 0..d {
                     if correction[c] != 0.0 {
                         increment[i * d + c] += correction[c];
-                        let column = self.schur.col(i * d + c);
-                        force.iter_mut().zip(column.iter()).for_each(|(f, s)| *f += correction[c] * s);
+                        let column = self.schur.single.col(i * d + c);
+                        force.iter_mut().zip(column.iter()).for_each(|(f, s)| *f += correction[c] * f64::from(*s));
                     }
                 }
             }
         }
-        self.iterate(data, increment, force)
+        let correction: Vec<f64> = increment.iter().zip(&from.increment).map(|(new, old)| new - old).collect();
+        self.corrected(data, &from, &correction)
     }
 
     /// The correction of one face's jump that satisfies its law, all others being given.
@@ -444,9 +464,15 @@ impl FractureProblem<'_> {
         // A handful of states and a smooth curve of slip directions: more than enough.
         const LOCAL_ITERATIONS: usize = 30;
         let own = i * self.dim..(i + 1) * self.dim;
+        let single = self.schur.single.submatrix(own.start, own.start, self.dim, self.dim);
+        let add_product = |x: &[f64], y: &mut [f64]| {
+            for (j, x) in x.iter().enumerate() {
+                y.iter_mut().enumerate().for_each(|(i, y)| *y += f64::from(single[(i, j)]) * x);
+            }
+        };
         let one = FractureProblem {
             dim: self.dim,
-            schur: &self.schur.as_ref().submatrix(own.start, own.start, self.dim, self.dim).to_owned(),
+            schur: Schur { single, add_product: &add_product },
             faces: &self.faces[i..=i],
             settings: self.settings,
         };
@@ -455,6 +481,7 @@ impl FractureProblem<'_> {
             previous: &data.previous[own.clone()],
             origin: &data.origin[own.clone()],
             partners: &data.partners[i..=i],
+            guess: None,
         };
         let mut at = one.iterate(&data, increment[own.clone()].to_vec(), force[own.clone()].to_vec());
         for _ in 0..LOCAL_ITERATIONS {
@@ -462,7 +489,12 @@ impl FractureProblem<'_> {
                 break;
             }
             let laws = one.linearise(&data, &at);
-            match one.solve_linear(&laws, &at.force, &mut None, &mut NewtonReport::default()) {
+            match one.solve_linear(
+                &laws,
+                &at.force,
+                &mut Workshop { factor: None, last: None },
+                &mut NewtonReport::default(),
+            ) {
                 Ok(correction) => at = one.corrected(&data, &at, &correction),
                 Err(SingularFracture) => break,
             }
@@ -472,31 +504,38 @@ impl FractureProblem<'_> {
     }
 }
 
-impl Preconditioner<'_> {
+impl Preconditioner {
     /// v ← M⁻¹ v, over all components; zero where the jump is given.
     fn apply(&self, v: &mut [f64]) {
         let old = &self.factor.unknowns;
-        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]]);
+        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]] as f32);
         // The row of a component that has become known is free to take the multiplier that holds it.
         self.removed.iter().for_each(|&p| x[(p, 0)] = 0.0);
-        self.factor.lu.solve_in_place(x.as_mut());
+        solve_lu(&self.factor.lu, x.as_mut());
         let n = self.added.len();
         if n + self.removed.len() > 0 {
             let reached = &self.added_rows * &x;
             let mut z = Mat::from_fn(n + self.removed.len(), 1, |k, _| {
-                if k < n { v[self.added[k]] - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
+                if k < n { v[self.added[k]] as f32 - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
             });
-            self.corner.solve_in_place(z.as_mut());
+            solve_lu(&self.corner, z.as_mut());
             x -= &self.columns * &z;
             for (k, &at) in self.added.iter().enumerate() {
-                v[at] = z[(k, 0)];
+                v[at] = f64::from(z[(k, 0)]);
             }
         }
         for (p, &at) in old.iter().enumerate() {
-            v[at] = x[(p, 0)];
+            v[at] = f64::from(x[(p, 0)]);
         }
         self.removed.iter().for_each(|&p| v[old[p]] = 0.0);
     }
+}
+
+/// x ← A⁻¹ x. One right-hand side is bound by reading the factor, and threads only slow that down.
+fn solve_lu(lu: &PartialPivLu<f32>, x: MatMut<'_, f32>) {
+    let par = if x.ncols() > 1 { faer::get_global_parallelism() } else { Par::Seq };
+    let mut memory = MemBuffer::new(solve_in_place_scratch::<usize, f32>(x.nrows(), x.ncols(), par));
+    solve_in_place(lu.L(), lu.U(), lu.P(), x, par, MemStack::new(&mut memory));
 }
 
 /// The components of the jump that laws leave unknown.

@@ -73,7 +73,8 @@ pub(crate) struct System {
     pub(crate) fixed_rows: Csr,
     stiffness: SparseSymmetric,
     pub(crate) cholesky: Cholesky,
-    pub(crate) schur: faer::Mat<f64>,
+    /// Schur complement on the jumps, in single precision.
+    pub(crate) schur: faer::Mat<f32>,
     pub(crate) factorisations: usize,
     pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
@@ -135,7 +136,7 @@ impl System {
         let assembly = lap();
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
         let factorisation = lap();
-        let schur = cholesky.schur()?;
+        let schur = cholesky.schur_single()?;
         let condensation = lap();
         let memory = cholesky.memory();
         let setup = SetupReport {
@@ -163,6 +164,12 @@ impl System {
         })
     }
 
+    /// y += S x in double precision, over the jumps.
+    pub(crate) fn add_schur_product(&self, x: &[f64], y: &mut [f64]) {
+        let done = self.cholesky.add_schur_product(x, y);
+        debug_assert!(done.is_ok(), "there is a factor, and all jumps are unknowns of it: {done:?}");
+    }
+
     /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
     /// follows its porosity.
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
@@ -178,7 +185,7 @@ impl System {
         )?;
         self.fixed_rows = fixed_rows;
         self.cholesky.refactorise(&self.stiffness)?;
-        self.schur = self.cholesky.schur()?;
+        self.schur = self.cholesky.schur_single()?;
         self.factorisations += 1;
         Ok(())
     }
