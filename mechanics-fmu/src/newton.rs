@@ -19,13 +19,14 @@
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::lu::partial_pivoting::solve::{solve_in_place, solve_in_place_scratch};
 use faer::linalg::solvers::PartialPivLu;
 use faer::{Mat, MatMut, MatRef, Par};
+use rayon::prelude::*;
 
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::model::NewtonSettings;
@@ -111,10 +112,12 @@ struct Preconditioner {
     corner: PartialPivLu<f32>,
 }
 
-/// The preconditioners of a step: the factor that the next step will start from, and its last use.
+/// The factor that the next linear solve starts from, and the columns of borders that were needed with it: for each
+/// component, the factor's inverse times its column.
+#[derive(Default)]
 struct Workshop {
     factor: Option<Arc<FaceFactor>>,
-    last: Option<Preconditioner>,
+    columns: HashMap<usize, Vec<f32>>,
 }
 
 impl std::fmt::Debug for FaceFactor {
@@ -208,7 +211,7 @@ impl FractureProblem<'_> {
         factor: Option<Arc<FaceFactor>>,
     ) -> Result<FractureSolution, SingularFracture> {
         let mut report = NewtonReport::default();
-        let mut workshop = Workshop { factor, last: None };
+        let mut workshop = Workshop { factor, ..Workshop::default() };
         let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
         (self.schur.add_product)(data.previous, &mut force);
         let mut at = self.iterate(data, vec![0.0; data.rhs.len()], force);
@@ -292,7 +295,8 @@ impl FractureProblem<'_> {
                 None => {
                     report.face_factorisations += 1;
                     fresh = true;
-                    workshop.factor = Some(Arc::new(self.face_factor(laws.to_vec())));
+                    let factor = Some(Arc::new(self.face_factor(laws.to_vec())));
+                    *workshop = Workshop { factor, ..Workshop::default() };
                     self.preconditioner(workshop, laws).ok_or(SingularFracture)?
                 }
             };
@@ -301,9 +305,8 @@ impl FractureProblem<'_> {
             report.linear_iterations += done.iterations;
             // Single precision limits what a fresh factor reaches; Newton's method only needs a reduction.
             let solved = done.residual <= target || fresh && done.residual <= 0.5 * size;
-            workshop.last = Some(preconditioner);
             if !fresh && (!solved || done.iterations > RENEW_ABOVE) {
-                *workshop = Workshop { factor: None, last: None };
+                *workshop = Workshop::default();
             }
             if solved {
                 correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
@@ -340,7 +343,7 @@ impl FractureProblem<'_> {
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
         // Each solve gains at least a factor of `FORCING`; what an exact derivative needs is well below finite differences.
         const REFINEMENTS: usize = 4;
-        let mut workshop = Workshop { factor, last: None };
+        let mut workshop = Workshop { factor, ..Workshop::default() };
         let mut total = vec![0.0; change.len()];
         for _ in 0..REFINEMENTS {
             let mut rest = force.clone();
@@ -359,8 +362,15 @@ impl FractureProblem<'_> {
     fn apply_rows(&self, laws: &[Linearised], v: &[f64], out: &mut [f64]) {
         let d = self.dim;
         let x = Mat::from_fn(v.len(), 1, |i, _| v[i] as f32);
+        // By the rows of the symmetric matrix, so that the cores share the reading of it.
+        const ROWS: usize = 256;
         let mut y = Mat::<f32>::zeros(v.len(), 1);
-        faer::linalg::matmul::matmul(y.as_mut(), faer::Accum::Replace, self.schur.single, &x, 1.0, Par::Seq);
+        let chunks = y.col_as_slice_mut(0).par_chunks_mut(ROWS).enumerate();
+        chunks.for_each(|(k, y)| {
+            let rows = self.schur.single.subcols(k * ROWS, y.len()).transpose();
+            let y = MatMut::from_column_major_slice_mut(y, rows.nrows(), 1);
+            faer::linalg::matmul::matmul(y, faer::Accum::Replace, rows, &x, 1.0, Par::Seq);
+        });
         for (i, law) in laws.iter().enumerate() {
             let at = i * d;
             let own = self.local(v, i);
@@ -414,16 +424,19 @@ impl FractureProblem<'_> {
         if border * BORDER > old.len() {
             return None;
         }
-        // Directions of slip may have turned since; the iterations make up for that.
-        if let Some(last) = workshop.last.take_if(|last| last.added == added && last.removed == removed) {
-            return Some(last);
+        let components: Vec<usize> = added.iter().copied().chain(removed.iter().map(|&p| old[p])).collect();
+        let missing: Vec<usize> = (0..border).filter(|&k| !workshop.columns.contains_key(&components[k])).collect();
+        let new: Vec<usize> = missing.iter().filter(|&&k| k < added.len()).map(|&k| components[k]).collect();
+        let mut solved = Mat::zeros(old.len(), missing.len());
+        solved.as_mut().subcols_mut(0, new.len()).copy_from(self.rows(&factor.laws, old, &new));
+        for q in new.len()..missing.len() {
+            solved[(removed[missing[q] - added.len()], q)] = 1.0;
         }
-        let mut columns = Mat::zeros(old.len(), border);
-        columns.as_mut().subcols_mut(0, added.len()).copy_from(self.rows(&factor.laws, old, &added));
-        for (k, &p) in removed.iter().enumerate() {
-            columns[(p, added.len() + k)] = 1.0;
+        solve_lu(&factor.lu, solved.as_mut());
+        for (q, &k) in missing.iter().enumerate() {
+            workshop.columns.insert(components[k], solved.col(q).iter().copied().collect());
         }
-        solve_lu(&factor.lu, columns.as_mut());
+        let columns = Mat::from_fn(old.len(), border, |p, k| workshop.columns[&components[k]][p]);
         let added_rows = self.rows(laws, &added, old);
         let mut corner = Mat::zeros(border, border);
         corner.as_mut().submatrix_mut(0, 0, added.len(), added.len()).copy_from(self.rows(laws, &added, &added));
@@ -489,12 +502,7 @@ impl FractureProblem<'_> {
                 break;
             }
             let laws = one.linearise(&data, &at);
-            match one.solve_linear(
-                &laws,
-                &at.force,
-                &mut Workshop { factor: None, last: None },
-                &mut NewtonReport::default(),
-            ) {
+            match one.solve_linear(&laws, &at.force, &mut Workshop::default(), &mut NewtonReport::default()) {
                 Ok(correction) => at = one.corrected(&data, &at, &correction),
                 Err(SingularFracture) => break,
             }

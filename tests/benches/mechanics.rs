@@ -16,9 +16,9 @@ fn main() {
     let cases: [Case; 5] = [
         ("c2-400", || (single_crack::triangles(320.0, 400, 0.06), single_crack::model(320.0))),
         ("c2-800", || (single_crack::triangles(320.0, 800, 0.035), single_crack::model(320.0))),
-        ("c4-10k", || (network_3d::tetrahedra(0.09, 10), network_3d::model(Bubbles::OneSided))),
-        ("c4-47k", || (network_3d::tetrahedra(0.05, 15), network_3d::model(Bubbles::OneSided))),
-        ("c4-47k-two-sided", || (network_3d::tetrahedra(0.05, 15), network_3d::model(Bubbles::TwoSided))),
+        ("c4-10k", || (network_3d::tetrahedra(0.07, 15), network_3d::model(Bubbles::OneSided))),
+        ("c4-47k", || (network_3d::tetrahedra(0.04, 25), network_3d::model(Bubbles::OneSided))),
+        ("c4-47k-two-sided", || (network_3d::tetrahedra(0.04, 25), network_3d::model(Bubbles::TwoSided))),
     ];
     for (name, make) in cases {
         if wanted.is_empty() || wanted.iter().any(|w| w == name) {
