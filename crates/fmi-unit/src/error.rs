@@ -88,6 +88,9 @@ pub enum Error {
     /// The state was freed, or belongs to another instance.
     #[error("the state is not one of this instance, or has been freed")]
     UnknownState,
+    /// Another call into the same instance has not returned yet.
+    #[error("the instance is being called already")]
+    Busy,
     /// A serialised state cannot be used here.
     #[error("the serialised state cannot be used: {0}")]
     State(#[from] crate::state::StateError),

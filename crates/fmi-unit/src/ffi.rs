@@ -170,23 +170,27 @@ fn call<T: Into<Reply>>(
     let Some(slot) = find(handle) else {
         return Status::Error;
     };
-    let answer = match slot.instance.try_lock() {
-        Ok(mut instance) => instance.call(function, body),
-        Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().call(function, body),
-        Err(TryLockError::WouldBlock) => {
-            let text = format!(
-                "{}: the instance is being called already",
-                function.rule().name
-            );
-            slot.host.tell(&LogEntry::error(&text));
-            return Status::Error;
+    let host = slot.host;
+    // `Instance::call` has its own guard around the unit; this one is for the drop of an instance that
+    // another thread has freed meanwhile.
+    let answer = guard(move || {
+        let instance = slot.instance.try_lock();
+        match instance {
+            Ok(mut instance) => Ok(instance.call(function, body)),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner().call(function, body)),
+            Err(TryLockError::WouldBlock) => Err(Error::Busy),
         }
-    };
-    answer
-        .messages
-        .iter()
-        .for_each(|entry| slot.host.tell(entry));
-    status(answer.severity)
+    });
+    match answer {
+        Ok(answer) => {
+            answer.messages.iter().for_each(|entry| host.tell(entry));
+            status(answer.severity)
+        }
+        Err(error) => {
+            host.tell_error(function.rule().name, &error);
+            Status::Error
+        }
+    }
 }
 
 /// A function that these units do not have.

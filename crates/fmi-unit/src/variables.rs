@@ -212,6 +212,7 @@ pub struct Variable {
     pub(crate) max: Option<f64>,
     pub(crate) nominal: Option<f64>,
     pub(crate) description: String,
+    pub(crate) derivative_of: Option<Reference>,
     pub(crate) dependencies: Option<Vec<Reference>>,
 }
 
@@ -242,6 +243,7 @@ impl Variable {
             max: None,
             nominal: None,
             description: String::new(),
+            derivative_of: None,
             dependencies: None,
         }
     }
@@ -374,6 +376,12 @@ impl Variable {
     /// One sentence for people.
     pub fn describe(mut self, description: &str) -> Self {
         self.description = description.to_owned();
+        self
+    }
+
+    /// The variable is the time derivative of another.
+    pub fn derivative_of(mut self, reference: Reference) -> Self {
+        self.derivative_of = Some(reference);
         self
     }
 
@@ -522,6 +530,19 @@ pub(crate) fn problems(description: &Description) -> Vec<Problem> {
         for reference in variable.dependencies.iter().flatten() {
             if all.iter().all(|v| v.reference != *reference) {
                 report(format!("it depends on the unknown reference {reference}"));
+            }
+        }
+        if let Some(reference) = variable.derivative_of {
+            match all.iter().find(|v| v.reference == reference) {
+                Some(state)
+                    if state.ty == variable.ty && state.dimensions == variable.dimensions => {}
+                Some(state) => report(format!(
+                    "`{}` has another type or shape than its derivative",
+                    state.name
+                )),
+                None => report(format!(
+                    "it is the derivative of the unknown reference {reference}"
+                )),
             }
         }
     }

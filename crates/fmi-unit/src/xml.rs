@@ -168,7 +168,7 @@ fn write_variable(w: &mut Writer, v: &Variable) {
     a.set_text("description", &v.description);
     a.set("causality", v.causality.name());
     a.set("variability", v.variability.name());
-    // The standard allows `initial` neither here nor there; parameters and inputs are exact anyway.
+    // Inputs are always exact, and time has no initial value.
     let implied = matches!(v.causality, Causality::Input | Causality::Independent);
     if let Some(initial) = v.initial.filter(|_| !implied) {
         a.set("initial", initial.name());
@@ -178,6 +178,9 @@ fn write_variable(w: &mut Writer, v: &Variable) {
     }
     if let Some(unit) = &v.unit {
         a.set("unit", unit);
+    }
+    if let Some(state) = v.derivative_of {
+        a.set("derivative", state);
     }
     for (name, value) in [("min", v.min), ("max", v.max), ("nominal", v.nominal)] {
         if let Some(value) = value {

@@ -4,7 +4,7 @@
 mod support;
 
 use std::ptr;
-use std::sync::atomic::{AtomicPtr, Ordering};
+use std::sync::atomic::{AtomicPtr, AtomicU8, Ordering};
 
 use fmi_unit::ffi::*;
 use fmi_unit::{
@@ -646,4 +646,83 @@ fn capabilities_that_are_missing_are_errors() {
         assert_eq!((flags, last), ([Flag(0), Flag(1), Flag(0)], 2.0));
     }
     free(i);
+}
+
+/// A unit that panics where it is built, or where it is dropped, or that waits.
+struct Fragile(u8);
+
+/// What the next [`Fragile`] does.
+static MOOD: AtomicU8 = AtomicU8::new(0);
+
+impl Drop for Fragile {
+    fn drop(&mut self) {
+        assert_ne!(self.0, 2, "no farewell");
+    }
+}
+
+impl Unit for Fragile {
+    type State = ();
+    fn instantiate(_: &Environment) -> Result<Self, UnitError> {
+        let mood = MOOD.load(Ordering::Relaxed);
+        assert_ne!(mood, 1, "no welcome");
+        Ok(Fragile(mood))
+    }
+    fn description(&self) -> Description {
+        Description::new("Fragile", "fragile").variables([Variable::output(1, "y", Type::Float64)])
+    }
+    fn get(&mut self, _: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        values.write(&[1.0])
+    }
+    fn set(&mut self, _: Reference, _: Values<'_>) -> Result<(), UnitError> {
+        Ok(())
+    }
+    fn initialize(&mut self, _: &Experiment) -> Result<(), UnitError> {
+        Ok(())
+    }
+    fn step(&mut self, _: f64, _: f64) -> Result<StepOutcome, UnitError> {
+        Ok(StepOutcome::Completed)
+    }
+}
+
+#[test]
+fn panics_at_birth_and_death_and_calls_at_once_are_errors() {
+    let messages = Messages::default();
+    let token = token_of::<Fragile>("/nowhere".into());
+    let new = || instantiate_with::<Fragile>(&messages, &token, "/nowhere".into(), true);
+    MOOD.store(1, Ordering::Relaxed);
+    assert!(new().is_null());
+    assert!(
+        last(&messages).contains("no welcome"),
+        "{}",
+        last(&messages)
+    );
+    MOOD.store(2, Ordering::Relaxed);
+    free(new());
+    assert!(
+        last(&messages).contains("no farewell"),
+        "{}",
+        last(&messages)
+    );
+
+    MOOD.store(0, Ordering::Relaxed);
+    let i = new().addr();
+    let wait = std::time::Duration::from_millis(50);
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| get(ptr::without_provenance_mut(i), 1, &mut [0.0]));
+        std::thread::sleep(wait);
+        assert_eq!(
+            get(ptr::without_provenance_mut(i), 1, &mut [0.0]),
+            Status::Error
+        );
+        assert!(last(&messages).contains("being called already"));
+        assert_eq!(first.join().unwrap(), Status::OK);
+    });
+    // Freed while another thread is inside: that thread ends its call first.
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| get(ptr::without_provenance_mut(i), 1, &mut [0.0]));
+        std::thread::sleep(wait);
+        free(ptr::without_provenance_mut(i));
+        assert_eq!(first.join().unwrap(), Status::OK);
+    });
 }
