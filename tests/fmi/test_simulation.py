@@ -115,6 +115,7 @@ CONTINUE = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
+from conftest import Host
 from test_simulation import advance, bits, temperatures
 unit = Host(sys.argv[2]).instantiate()
 state = unit.deserializeFMUState(Path(sys.argv[3]).read_bytes())

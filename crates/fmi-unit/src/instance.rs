@@ -174,7 +174,9 @@ pub(crate) fn guard<T>(code: impl FnOnce() -> Result<T, Error>) -> Result<T, Err
             _ => "without a message".to_owned(),
         };
         // The payload is the unit's too, and dropping it could panic again.
-        std::mem::forget(panic);
+        if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(panic))) {
+            std::mem::forget(second);
+        }
         Err(Error::Panic(text))
     })
 }

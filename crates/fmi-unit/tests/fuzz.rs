@@ -358,7 +358,7 @@ fn random_calls_do_no_harm() {
         }
     }));
     let mut fuzz = Fuzz {
-        random: Random(seed.max(1) * 0x9e37_79b9_7f4a_7c15),
+        random: Random(u64::wrapping_mul(seed, 0x9e37_79b9_7f4a_7c15) | 1),
         live: Vec::new(),
         stale: Vec::new(),
         states: Vec::new(),
