@@ -236,11 +236,7 @@ macro_rules! __fmi3_functions {
 }
 
 /// Exports a [`Unit`](crate::Unit) as the FMI 3.0 C interface of this library, which must be of crate type
-/// `cdylib`. Call it once.
-///
-/// ```ignore
-/// fmi_unit::export_unit!(MyUnit);
-/// ```
+/// `cdylib`. Call it once, where the unit is defined: `export_unit!(MyUnit);`.
 #[macro_export]
 macro_rules! export_unit {
     ($unit:ty) => {
