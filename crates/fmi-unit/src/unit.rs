@@ -36,14 +36,19 @@ pub trait Unit: Send + Sized + 'static {
     ///
     /// # Errors
     /// The values make no sense.
-    fn set(&mut self, variable: Reference, values: Values<'_>) -> Result<(), UnitError>;
+    fn set(&mut self, _variable: Reference, _values: Values<'_>) -> Result<(), UnitError> {
+        Err("the unit takes no values".into())
+    }
 
     /// Computes the initial state from parameters, inputs and start values. Called when initialisation
-    /// ends, and before that if the host asks for results, so it may be called several times.
+    /// ends, and before that if the host asks for results, so it may be called several times. Nothing to do
+    /// if [`instantiate`](Unit::instantiate) leaves the unit in its initial state.
     ///
     /// # Errors
     /// There is no initial state.
-    fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError>;
+    fn initialize(&mut self, _experiment: &Experiment) -> Result<(), UnitError> {
+        Ok(())
+    }
 
     /// Advances from `time` by `step` > 0. A step that is [discarded](StepOutcome::Discarded) must leave
     /// the unit as it was.

@@ -8,8 +8,7 @@ use std::sync::atomic::{AtomicPtr, AtomicU8, Ordering};
 
 use fmi_unit::ffi::*;
 use fmi_unit::{
-    Description, Environment, Experiment, Reference, StepOutcome, Type, Unit, UnitError, Values,
-    ValuesMut, Variable,
+    Description, Environment, Reference, StepOutcome, Type, Unit, UnitError, ValuesMut, Variable,
 };
 use support::*;
 
@@ -599,12 +598,6 @@ impl Unit for Plain {
     fn get(&mut self, _: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
         values.write(&["a\0b".to_owned()])
     }
-    fn set(&mut self, _: Reference, _: Values<'_>) -> Result<(), UnitError> {
-        Ok(())
-    }
-    fn initialize(&mut self, _: &Experiment) -> Result<(), UnitError> {
-        Ok(())
-    }
     fn step(&mut self, _: f64, _: f64) -> Result<StepOutcome, UnitError> {
         Ok(StepOutcome::Finished)
     }
@@ -673,12 +666,6 @@ impl Unit for Fragile {
     fn get(&mut self, _: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
         std::thread::sleep(std::time::Duration::from_millis(200));
         values.write(&[1.0])
-    }
-    fn set(&mut self, _: Reference, _: Values<'_>) -> Result<(), UnitError> {
-        Ok(())
-    }
-    fn initialize(&mut self, _: &Experiment) -> Result<(), UnitError> {
-        Ok(())
     }
     fn step(&mut self, _: f64, _: f64) -> Result<StepOutcome, UnitError> {
         Ok(StepOutcome::Completed)

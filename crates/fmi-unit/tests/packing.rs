@@ -3,8 +3,8 @@
 use std::fs;
 
 use fmi_unit::{
-    Contents, Description, Environment, Error, Experiment, Reference, StepOutcome, Type, Unit,
-    UnitError, Values, ValuesMut, Variable, pack,
+    Contents, Description, Environment, Error, Reference, StepOutcome, Type, Unit, UnitError,
+    ValuesMut, Variable, pack,
 };
 
 #[allow(unreachable_pub, reason = "public where it is a library")]
@@ -110,12 +110,6 @@ impl Unit for Liar {
     }
     fn get(&mut self, _: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
         values.write(&[2i8])
-    }
-    fn set(&mut self, _: Reference, _: Values<'_>) -> Result<(), UnitError> {
-        Ok(())
-    }
-    fn initialize(&mut self, _: &Experiment) -> Result<(), UnitError> {
-        Ok(())
     }
     fn step(&mut self, _: f64, _: f64) -> Result<StepOutcome, UnitError> {
         Ok(StepOutcome::Completed)
