@@ -268,7 +268,6 @@ impl Mechanics {
             *part = clock.elapsed();
             clock = Instant::now();
         };
-        let d = self.mesh.dim();
         let loads = self.loads(time)?;
         let mut rhs = loads.clone();
         self.add_pressures(partner, previous, &mut rhs)?;

@@ -214,7 +214,7 @@ fn assemble(
     let mut row_of_fixed = vec![None; free_of_unknown.len()];
     fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
     let mut fixed_triplets = Vec::new();
-    let mut divergence_triplets = Vec::new();
+    let mut divergence = Vec::with_capacity(mesh.cell_count());
     for first in (0..mesh.cell_count()).step_by(BATCH) {
         let batch = first..(first + BATCH).min(mesh.cell_count());
         let parts: Vec<CellPart> = batch
@@ -249,18 +249,15 @@ fn assemble(
                 part
             })
             .collect();
-        for (cell, part) in (first..).zip(parts) {
+        for part in parts {
             stiffness.add(&part.entities, &part.local)?;
             fixed_triplets.extend(part.fixed);
             let columns = part.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c));
-            divergence_triplets.extend(columns.zip(part.divergence).map(|(column, v)| (cell as u32, column, v)));
+            divergence.push(columns.zip(part.divergence).collect::<Vec<_>>());
         }
     }
     let n = free_of_unknown.len();
-    Ok((
-        Csr::from_triplets(fixed.len(), n, &fixed_triplets)?,
-        Csr::from_triplets(mesh.cell_count(), n, &divergence_triplets)?,
-    ))
+    Ok((Csr::from_triplets(fixed.len(), n, &fixed_triplets)?, Csr::from_rows(n, divergence)?))
 }
 
 /// The prescribed unknowns, ascending.
