@@ -1,0 +1,509 @@
+//! Factorisation, solves, and partial elimination.
+
+use std::sync::Arc;
+
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::sparse::linalg::SymbolicSupernodalParams;
+use faer::sparse::linalg::cholesky::{simplicial, supernodal};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Accum, Mat, MatMut, Par};
+
+use crate::error::{Error, check_len};
+use crate::ordering::Ordering;
+use crate::panels::{Panels, Work};
+use crate::pattern::{Pattern, SparseSymmetric};
+
+/// Largest scaled residual ‖Ax − b‖ / (‖A‖ ‖x‖ + ‖b‖), in maximum norms, of the test solve after a
+/// factorisation. Cholesky is backward stable, so a sound factor leaves some 1e-16 to 1e-15
+/// whatever the condition number; a wrong one leaves 1e-8 and more.
+pub const MAX_RESIDUAL: f64 = 1e-12;
+
+/// Memory of a factorisation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Memory {
+    /// Stored entries of the factor. Supernodes are stored as rectangles, so this counts some
+    /// zeros and the unused upper triangles of their diagonal blocks.
+    pub factor_entries: usize,
+    /// Bytes of the factor's values.
+    pub factor_bytes: usize,
+    /// Bytes of everything: values, index structure, reordered matrix, work space.
+    pub total_bytes: usize,
+}
+
+/// The analysis of a pattern under an order: all that does not depend on values.
+#[derive(Debug)]
+pub struct Symbolic {
+    pattern: Arc<Pattern>,
+    ordering: Ordering,
+    /// Lower triangle in elimination order, and the place of each entry in the given values.
+    col_ptr: Vec<u32>,
+    row_idx: Vec<u32>,
+    source: Vec<u32>,
+    supernodes: supernodal::SymbolicSupernodalCholesky<u32>,
+    panels: Panels,
+}
+
+impl Symbolic {
+    /// Analyses a pattern.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`] if the order is for another number of unknowns, [`Error::TooLarge`] if
+    /// the factor would have 2³¹ entries or more, [`Error::OutOfMemory`].
+    pub fn new(pattern: &Arc<Pattern>, ordering: Ordering) -> Result<Self, Error> {
+        let n = pattern.len();
+        check_len("ordering", n, ordering.unknown.len())?;
+        let mut position = vec![0u32; n];
+        for (k, &unknown) in ordering.unknown.iter().enumerate() {
+            position[unknown as usize] = k as u32;
+        }
+        let (given_ptr, given_row) = pattern.lower();
+        let mut columns = vec![0u32; given_row.len()];
+        let mut rows = vec![0u32; given_row.len()];
+        for j in 0..n {
+            for k in given_ptr[j] as usize..given_ptr[j + 1] as usize {
+                let (p, q) = (position[j], position[given_row[k] as usize]);
+                columns[k] = p.min(q);
+                rows[k] = p.max(q);
+            }
+        }
+        // Sorting by rows, then stably by columns, gives the lower triangle by columns with
+        // ascending rows; the other way round gives the upper triangle.
+        let entries: Vec<u32> = (0..rows.len() as u32).collect();
+        let (_, by_rows) = bucket_sort(n, &rows, &entries);
+        let (col_ptr, source) = bucket_sort(n, &columns, &by_rows);
+        let row_idx: Vec<u32> = source.iter().map(|&k| rows[k as usize]).collect();
+        let (upper_ptr, upper_source) = bucket_sort(n, &rows, &source);
+        let upper_row: Vec<u32> = (upper_source.iter())
+            .map(|&k| columns[k as usize])
+            .collect();
+
+        let upper = SymbolicSparseColMatRef::new_checked(n, n, &upper_ptr, None, &upper_row);
+        let scratch = StackReq::any_of(&[
+            simplicial::prefactorize_symbolic_cholesky_scratch::<u32>(n, upper_row.len()),
+            supernodal::factorize_supernodal_symbolic_cholesky_scratch::<u32>(n),
+        ]);
+        let mut memory = MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?;
+        let stack = MemStack::new(&mut memory);
+        let mut parents = vec![0i32; n];
+        let mut counts = vec![0u32; n];
+        let tree =
+            simplicial::prefactorize_symbolic_cholesky(&mut parents, &mut counts, upper, stack);
+        let supernodes = supernodal::factorize_supernodal_symbolic_cholesky(
+            upper,
+            tree,
+            &counts,
+            stack,
+            SymbolicSupernodalParams::default(),
+        )?;
+        let panels = Panels::new(&supernodes, ordering.leading);
+        Ok(Self {
+            pattern: Arc::clone(pattern),
+            ordering,
+            col_ptr,
+            row_idx,
+            source,
+            supernodes,
+            panels,
+        })
+    }
+
+    /// Number of unknowns.
+    pub fn len(&self) -> usize {
+        self.pattern.len()
+    }
+
+    /// Whether there are no unknowns.
+    pub fn is_empty(&self) -> bool {
+        self.pattern.is_empty()
+    }
+
+    /// The order.
+    pub fn ordering(&self) -> &Ordering {
+        &self.ordering
+    }
+
+    /// The pattern.
+    pub fn pattern(&self) -> &Arc<Pattern> {
+        &self.pattern
+    }
+
+    /// Stored entries of a factor. See [`Memory::factor_entries`].
+    pub fn factor_entries(&self) -> usize {
+        self.supernodes.len_val()
+    }
+}
+
+/// Sorts `items` stably by `key[item] < n`: the start of each key's run, and the items.
+fn bucket_sort(n: usize, key: &[u32], items: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    let mut ptr = vec![0u32; n + 1];
+    for &k in key {
+        ptr[k as usize + 1] += 1;
+    }
+    for k in 0..n {
+        ptr[k + 1] += ptr[k];
+    }
+    let mut next = ptr.clone();
+    let mut sorted = vec![0; items.len()];
+    for &item in items {
+        let place = &mut next[key[item as usize] as usize];
+        sorted[*place as usize] = item;
+        *place += 1;
+    }
+    (ptr, sorted)
+}
+
+/// Work space of solves: one per thread that solves. Grows on first use, then stays.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    permuted: Vec<f64>,
+    work: Work,
+}
+
+/// A right-hand side after [`Cholesky::forward`].
+#[derive(Clone, Debug, Default)]
+pub struct Forward {
+    /// In elimination order: L11⁻¹ b_u, then the condensed right-hand side.
+    values: Vec<f64>,
+    leading: usize,
+}
+
+impl Forward {
+    /// The condensed right-hand side b_g − A_gu A_uu⁻¹ b_u, in the order of the trailing list.
+    pub fn condensed(&self) -> &[f64] {
+        &self.values[self.leading..]
+    }
+}
+
+/// A Cholesky factorisation P A Pᵀ = L Lᵀ.
+///
+/// Vectors are in the caller's numbering of unknowns, those of trailing unknowns in the order of
+/// the trailing list. Solves take `&self` and a [`Scratch`], so several threads can solve at once;
+/// a single solve also uses the threads of the [`Par`] given to the factorisation, and its result
+/// does not depend on their number.
+pub struct Cholesky {
+    symbolic: Arc<Symbolic>,
+    factor: Vec<f64>,
+    permuted: Vec<f64>,
+    memory: MemBuffer,
+    memory_bytes: usize,
+    par: Par,
+    valid: bool,
+}
+
+impl std::fmt::Debug for Cholesky {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        (f.debug_struct("Cholesky"))
+            .field("len", &self.len())
+            .field("memory", &self.memory())
+            .field("par", &self.par)
+            .field("valid", &self.valid)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Cholesky {
+    /// Factorises `a`, whose pattern must be the one analysed.
+    ///
+    /// A fixed system is solved with the result. If its residual exceeds [`MAX_RESIDUAL`] the
+    /// factorisation is repeated once without threads.
+    ///
+    /// # Errors
+    /// [`Error::PatternMismatch`], [`Error::NonFinite`], [`Error::NotPositiveDefinite`],
+    /// [`Error::Inaccurate`], [`Error::OutOfMemory`].
+    pub fn new(symbolic: &Arc<Symbolic>, a: &SparseSymmetric, par: Par) -> Result<Self, Error> {
+        let scratch = supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
+            &symbolic.supernodes,
+            par,
+            Default::default(),
+        );
+        let mut result = Self {
+            factor: vec![0.0; symbolic.factor_entries()],
+            permuted: vec![0.0; symbolic.source.len()],
+            memory: MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?,
+            memory_bytes: scratch.unaligned_bytes_required(),
+            symbolic: Arc::clone(symbolic),
+            par,
+            valid: false,
+        };
+        result.refactorise(a)?;
+        Ok(result)
+    }
+
+    /// Factorises new values on the same pattern, in the same storage and with the same threads.
+    ///
+    /// # Errors
+    /// Those of [`Cholesky::new`]. After an error there is no factor until a later call succeeds.
+    pub fn refactorise(&mut self, a: &SparseSymmetric) -> Result<(), Error> {
+        self.valid = false;
+        if !Arc::ptr_eq(a.pattern(), &self.symbolic.pattern)
+            && **a.pattern() != *self.symbolic.pattern
+        {
+            return Err(Error::PatternMismatch);
+        }
+        a.check_finite()?;
+        let values = a.values();
+        for (p, &k) in self.permuted.iter_mut().zip(&self.symbolic.source) {
+            *p = values[k as usize];
+        }
+        self.factorise(self.par)?;
+        let mut residual = self.test_residual(a);
+        if !(residual <= MAX_RESIDUAL) && self.par.degree() > 1 {
+            self.factorise(Par::Seq)?;
+            residual = self.test_residual(a);
+        }
+        if !(residual <= MAX_RESIDUAL) {
+            return Err(Error::Inaccurate {
+                residual,
+                tolerance: MAX_RESIDUAL,
+            });
+        }
+        self.valid = true;
+        Ok(())
+    }
+
+    fn factorise(&mut self, par: Par) -> Result<(), Error> {
+        let symbolic = &*self.symbolic;
+        let n = symbolic.len();
+        let lower =
+            SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
+        supernodal::factorize_supernodal_numeric_llt(
+            &mut self.factor,
+            SparseColMatRef::new(lower, &self.permuted),
+            LltRegularization::default(),
+            &symbolic.supernodes,
+            par,
+            MemStack::new(&mut self.memory),
+            Default::default(),
+        )
+        .map(|_| ())
+        .map_err(
+            |LltError::NonPositivePivot { index }| Error::NotPositiveDefinite {
+                unknown: symbolic.ordering.unknown[index] as usize,
+            },
+        )
+    }
+
+    /// The scaled residual of a solve with a fixed right-hand side.
+    fn test_residual(&self, a: &SparseSymmetric) -> f64 {
+        let n = self.len();
+        let mut state = 1u64;
+        let b: Vec<f64> = (0..n)
+            .map(|_| {
+                // A 64-bit linear congruential generator (Knuth); the top bits are good enough.
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+            })
+            .collect();
+        let mut x = b.clone();
+        self.solve_valid(&mut x, &mut Scratch::default());
+        let mut r = vec![0.0; n];
+        if a.mul(&x, &mut r).is_err() {
+            return f64::NAN;
+        }
+        // Unlike f64::max, keeps NaN.
+        let norm = |v: &mut dyn Iterator<Item = f64>| {
+            v.fold(0.0f64, |m, e| if e.abs() <= m { m } else { e.abs() })
+        };
+        let residual = norm(&mut r.iter().zip(&b).map(|(r, b)| r - b));
+        let scale = a.norm() * norm(&mut x.iter().copied()) + norm(&mut b.iter().copied());
+        if n == 0 { 0.0 } else { residual / scale }
+    }
+
+    /// Number of unknowns.
+    pub fn len(&self) -> usize {
+        self.symbolic.len()
+    }
+
+    /// Whether there are no unknowns.
+    pub fn is_empty(&self) -> bool {
+        self.symbolic.is_empty()
+    }
+
+    /// The analysis.
+    pub fn symbolic(&self) -> &Arc<Symbolic> {
+        &self.symbolic
+    }
+
+    /// What the factorisation occupies.
+    pub fn memory(&self) -> Memory {
+        let s = &*self.symbolic;
+        let factor_bytes = size_of_val(&self.factor[..]);
+        let indices = s.col_ptr.len()
+            + s.row_idx.len()
+            + s.source.len()
+            + s.supernodes.row_idx().len()
+            + s.ordering.unknown.len();
+        Memory {
+            factor_entries: self.factor.len(),
+            factor_bytes,
+            total_bytes: factor_bytes
+                + size_of_val(&self.permuted[..])
+                + self.memory_bytes
+                + indices * size_of::<u32>()
+                + s.panels.bytes(),
+        }
+    }
+
+    /// x ← A⁻¹ x, of length `len()`.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::NotFactorised`].
+    pub fn solve(&self, x: &mut [f64], scratch: &mut Scratch) -> Result<(), Error> {
+        self.check(x.len())?;
+        self.solve_valid(x, scratch);
+        Ok(())
+    }
+
+    fn solve_valid(&self, x: &mut [f64], scratch: &mut Scratch) {
+        let Scratch { permuted, work } = scratch;
+        let symbolic = &*self.symbolic;
+        permuted.resize(x.len(), 0.0);
+        self.gather(x, permuted);
+        let panels = &symbolic.panels;
+        panels.forward(&self.factor, permuted, false, self.par, work);
+        panels.backward(&self.factor, permuted, false, self.par, work);
+        self.scatter(permuted, x);
+    }
+
+    /// X ← A⁻¹ X, for a `len()` × k matrix.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::NotFactorised`].
+    pub fn solve_many(&self, mut x: MatMut<'_, f64>, scratch: &mut Scratch) -> Result<(), Error> {
+        self.check(x.nrows())?;
+        let (n, k) = (x.nrows(), x.ncols());
+        let Scratch { permuted, work } = scratch;
+        permuted.resize(n * k, 0.0);
+        let order = self.symbolic.ordering.unknowns();
+        for (j, column) in permuted.chunks_exact_mut(n.max(1)).enumerate() {
+            for (p, &u) in column.iter_mut().zip(order) {
+                *p = x[(u as usize, j)];
+            }
+        }
+        let y = MatMut::from_column_major_slice_mut(&mut permuted[..], n, k);
+        let panels = &self.symbolic.panels;
+        panels.solve_many(&self.factor, y, self.par, work.buffer());
+        for (j, column) in permuted.chunks_exact(n.max(1)).enumerate() {
+            for (p, &u) in column.iter().zip(order) {
+                x[(u as usize, j)] = *p;
+            }
+        }
+        Ok(())
+    }
+
+    /// Eliminates the leading unknowns from a right-hand side of length `len()`: afterwards
+    /// [`Forward::condensed`] is b_g − A_gu A_uu⁻¹ b_u.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::NotFactorised`].
+    pub fn forward(
+        &self,
+        b: &[f64],
+        forward: &mut Forward,
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
+        self.check(b.len())?;
+        forward.leading = self.symbolic.ordering.leading;
+        forward.values.resize(b.len(), 0.0);
+        self.gather(b, &mut forward.values);
+        (self.symbolic.panels).forward(
+            &self.factor,
+            &mut forward.values,
+            true,
+            self.par,
+            &mut scratch.work,
+        );
+        Ok(())
+    }
+
+    /// Recovers the leading unknowns A_uu⁻¹ (b_u − A_ug x_g) from `trailing` = x_g (in the order of
+    /// the trailing list) and the b given to [`Cholesky::forward`]. Both parts are written to `x`,
+    /// of length `len()`. `forward` can be used again with other trailing values.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::NotFactorised`].
+    pub fn backward(
+        &self,
+        forward: &Forward,
+        trailing: &[f64],
+        x: &mut [f64],
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
+        self.check(x.len())?;
+        check_len("forward", x.len(), forward.values.len())?;
+        let leading = self.symbolic.ordering.leading;
+        check_len("trailing values", x.len() - leading, trailing.len())?;
+        let Scratch { permuted, work } = scratch;
+        permuted.clear();
+        permuted.extend_from_slice(&forward.values[..leading]);
+        permuted.extend_from_slice(trailing);
+        let panels = &self.symbolic.panels;
+        panels.backward(&self.factor, permuted, true, self.par, work);
+        self.scatter(permuted, x);
+        Ok(())
+    }
+
+    /// The Schur complement A_gg − A_gu A_uu⁻¹ A_ug, m × m, both triangles, in the order of the
+    /// trailing list. Costs about m³ operations and 2 m² numbers.
+    ///
+    /// # Errors
+    /// [`Error::NotFactorised`].
+    pub fn schur(&self) -> Result<Mat<f64>, Error> {
+        let lower = self.schur_factor()?;
+        let m = lower.nrows();
+        let mut schur = Mat::zeros(m, m);
+        triangular::matmul(
+            schur.as_mut(),
+            BlockStructure::TriangularLower,
+            Accum::Replace,
+            lower.as_ref(),
+            BlockStructure::TriangularLower,
+            lower.transpose(),
+            BlockStructure::TriangularUpper,
+            1.0,
+            self.par,
+        );
+        for j in 0..m {
+            for i in j + 1..m {
+                schur[(j, i)] = schur[(i, j)];
+            }
+        }
+        Ok(schur)
+    }
+
+    /// The Cholesky factor L22 of the Schur complement, m × m, lower triangular with zeros above,
+    /// in the order of the trailing list.
+    ///
+    /// # Errors
+    /// [`Error::NotFactorised`].
+    pub fn schur_factor(&self) -> Result<Mat<f64>, Error> {
+        self.check(self.len())?;
+        let m = self.symbolic.ordering.trailing();
+        let mut lower = Mat::zeros(m, m);
+        (self.symbolic.panels).trailing_factor(&self.factor, lower.as_mut());
+        Ok(lower)
+    }
+
+    fn check(&self, len: usize) -> Result<(), Error> {
+        if !self.valid {
+            return Err(Error::NotFactorised);
+        }
+        check_len("vector", self.len(), len)
+    }
+
+    fn gather(&self, x: &[f64], permuted: &mut [f64]) {
+        for (p, &u) in permuted.iter_mut().zip(&self.symbolic.ordering.unknown) {
+            *p = x[u as usize];
+        }
+    }
+
+    fn scatter(&self, permuted: &[f64], x: &mut [f64]) {
+        for (p, &u) in permuted.iter().zip(&self.symbolic.ordering.unknown) {
+            x[u as usize] = *p;
+        }
+    }
+}

@@ -1,0 +1,642 @@
+//! Triangular solves with the supernodal factor.
+//!
+//! A *panel* is a dense trapezoid of the factor, stored by columns: a lower triangle over
+//! consecutive unknowns and the rows below it. Panels are faer's supernodes, except that one which
+//! straddles the first trailing unknown is cut there in two.
+//!
+//! A single right-hand side is bound by reading the factor, so each entry is read once, in groups
+//! of [`GROUP`] columns. Disjoint subtrees of the elimination tree are contiguous ranges of the
+//! vector and are swept in parallel; large panels above them are split by rows or columns. How the
+//! work is cut depends on the factor alone, so the result does not depend on the number of threads.
+
+use faer::linalg::{matmul, triangular_solve};
+use faer::prelude::{Reborrow, ReborrowMut};
+use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
+use faer::{Accum, MatMut, MatRef, Par};
+
+/// Columns swept together, so that the vector is read and written once for all of them.
+const GROUP: usize = 4;
+/// Columns of a large panel between two parallel sections.
+const STRIP: usize = 64;
+/// Entries below which a parallel section costs more than it gains.
+const PARALLEL_ENTRIES: usize = 1 << 16;
+/// A subtree swept by one thread has at most this share of all entries …
+const SUBTREE_MAX_SHARE: usize = 16;
+/// … and at least this share, to be worth its own copy of the rows above.
+const SUBTREE_MIN_SHARE: usize = 1024;
+
+#[derive(Clone, Debug)]
+struct Panel {
+    /// First unknown of the triangle, and number of columns.
+    start: usize,
+    cols: usize,
+    /// Rows below the triangle: a range of `Panels::rows`.
+    rows: std::ops::Range<usize>,
+    /// Place of the first entry, and distance of columns.
+    value: usize,
+    stride: usize,
+}
+
+impl Panel {
+    fn height(&self) -> usize {
+        self.cols + self.rows.len()
+    }
+
+    /// Column `j` from its diagonal down.
+    fn column<'a>(&self, factor: &'a [f64], j: usize) -> &'a [f64] {
+        let begin = self.value + j * self.stride;
+        &factor[begin + j..begin + self.height()]
+    }
+
+    fn view<'a>(&self, factor: &'a [f64]) -> MatRef<'a, f64> {
+        let len = (self.cols - 1) * self.stride + self.height();
+        MatRef::from_column_major_slice_with_stride(
+            &factor[self.value..self.value + len],
+            self.height(),
+            self.cols,
+            self.stride,
+        )
+    }
+}
+
+/// A subtree of leading panels: `panels` eliminates `unknowns` and touches only those and `top`.
+#[derive(Clone, Debug)]
+struct Subtree {
+    panels: std::ops::Range<usize>,
+    unknowns: std::ops::Range<usize>,
+}
+
+/// The factor's structure, in elimination order.
+#[derive(Debug)]
+pub(crate) struct Panels {
+    panels: Vec<Panel>,
+    rows: Vec<u32>,
+    /// Panels before this one eliminate the leading unknowns.
+    leading: usize,
+    len: usize,
+    subtrees: Vec<Subtree>,
+    /// Unknowns outside the subtrees, and the place of each such unknown in this list.
+    top: Vec<u32>,
+    top_place: Vec<u32>,
+    /// Panels outside the subtrees, ascending.
+    top_panels: Vec<usize>,
+    tallest: usize,
+}
+
+/// Work space of a sweep; grows on first use.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Work {
+    /// One column of the tallest panel per subtree.
+    columns: Vec<f64>,
+    /// Contributions of each subtree to `top`, or the values there.
+    above: Vec<f64>,
+}
+
+impl Work {
+    /// A buffer of any length and content.
+    pub(crate) fn buffer(&mut self) -> &mut Vec<f64> {
+        &mut self.columns
+    }
+}
+
+impl Panels {
+    /// Cuts the supernodes of `symbolic` at `split`, the number of leading unknowns.
+    pub(crate) fn new(symbolic: &SymbolicSupernodalCholesky<u32>, split: usize) -> Self {
+        let len = symbolic.nrows();
+        let mut panels: Vec<Panel> = Vec::new();
+        let mut rows: Vec<u32> = Vec::new();
+        let mut leading = None;
+        for s in 0..symbolic.n_supernodes() {
+            let start = symbolic.supernode_begin()[s] as usize;
+            let end = symbolic.supernode_end()[s] as usize;
+            let pattern = symbolic.supernode(s).pattern();
+            let value = symbolic.col_ptr_for_val()[s] as usize;
+            let stride = end - start + pattern.len();
+            let cut = split.clamp(start, end);
+            let mut push = |from: usize, to: usize, panels: &mut Vec<Panel>| {
+                if from < to {
+                    let first_row = rows.len();
+                    rows.extend(to as u32..end as u32);
+                    rows.extend_from_slice(pattern);
+                    panels.push(Panel {
+                        start: from,
+                        cols: to - from,
+                        rows: first_row..rows.len(),
+                        value: value + (from - start) * (stride + 1),
+                        stride,
+                    });
+                }
+            };
+            push(start, cut, &mut panels);
+            if cut < end {
+                leading.get_or_insert(panels.len());
+            }
+            push(cut, end, &mut panels);
+        }
+        let leading = leading.unwrap_or(panels.len());
+        let tallest = panels.iter().map(Panel::height).max().unwrap_or(0);
+        let mut result = Self {
+            panels,
+            rows,
+            leading,
+            len,
+            subtrees: Vec::new(),
+            top: Vec::new(),
+            top_place: Vec::new(),
+            top_panels: Vec::new(),
+            tallest,
+        };
+        result.find_subtrees();
+        result
+    }
+
+    fn find_subtrees(&mut self) {
+        // A panel's parent holds its first row. Trailing panels are all on top.
+        let mut panel_of = vec![0u32; self.len];
+        for (p, panel) in self.panels.iter().enumerate() {
+            panel_of[panel.start..panel.start + panel.cols].fill(p as u32);
+        }
+        let parent: Vec<Option<usize>> = (self.panels.iter())
+            .map(|panel| self.rows[panel.rows.clone()].first())
+            .map(|row| row.map(|&row| panel_of[row as usize] as usize))
+            .collect();
+        let mut entries: Vec<usize> = (self.panels.iter())
+            .map(|panel| panel.height() * panel.cols)
+            .collect();
+        let total: usize = entries.iter().sum();
+        let mut first: Vec<usize> = (0..self.panels.len()).collect();
+        for p in 0..self.panels.len() {
+            if let Some(q) = parent[p] {
+                entries[q] += entries[p];
+                first[q] = first[q].min(first[p]);
+            }
+        }
+        let fits = |p: usize| p < self.leading && entries[p] <= total / SUBTREE_MAX_SHARE;
+        for p in 0..self.leading {
+            if fits(p) && !parent[p].is_some_and(fits) && entries[p] >= total / SUBTREE_MIN_SHARE {
+                let (a, b) = (&self.panels[first[p]], &self.panels[p]);
+                self.subtrees.push(Subtree {
+                    panels: first[p]..p + 1,
+                    unknowns: a.start..b.start + b.cols,
+                });
+            }
+        }
+        self.top_place = vec![0; self.len];
+        let mut next = 0;
+        let mut next_panel = 0;
+        let end = Subtree {
+            panels: self.panels.len()..self.panels.len(),
+            unknowns: self.len..self.len,
+        };
+        for subtree in self.subtrees.iter().chain([&end]) {
+            for unknown in next..subtree.unknowns.start {
+                self.top_place[unknown] = self.top.len() as u32;
+                self.top.push(unknown as u32);
+            }
+            self.top_panels.extend(next_panel..subtree.panels.start);
+            next = subtree.unknowns.end;
+            next_panel = subtree.panels.end;
+        }
+    }
+
+    /// Bytes of the structure.
+    pub(crate) fn bytes(&self) -> usize {
+        self.panels.len() * size_of::<Panel>()
+            + (self.rows.len() + self.len + self.top.len()) * size_of::<u32>()
+            + self.top_panels.len() * size_of::<usize>()
+    }
+
+    fn resize(&self, work: &mut Work) {
+        let tasks = self.subtrees.len();
+        work.columns.resize((tasks + 1) * self.tallest, 0.0);
+        work.above.resize((tasks + 1) * self.top.len(), 0.0);
+    }
+
+    /// x ← L⁻¹ x for all unknowns; if only `leading`, [y_u; b_g − L21 y_u] with y_u = L11⁻¹ b_u.
+    pub(crate) fn forward(
+        &self,
+        factor: &[f64],
+        x: &mut [f64],
+        leading: bool,
+        par: Par,
+        work: &mut Work,
+    ) {
+        self.resize(work);
+        let Work { columns, above } = work;
+        let n_top = self.top.len();
+        let (column, columns) = columns.split_at_mut(self.tallest);
+        let (_, above) = above.split_at_mut(n_top);
+        self.forward_subtrees(factor, &self.subtrees, (x, 0), columns, above, par);
+        for above in above.chunks_exact(n_top.max(1)) {
+            for (&unknown, a) in self.top.iter().zip(above) {
+                x[unknown as usize] -= a;
+            }
+        }
+        for &p in &self.top_panels {
+            if leading && p >= self.leading {
+                break;
+            }
+            let panel = &self.panels[p];
+            let (triangle, below) = column[..panel.height()].split_at_mut(panel.cols);
+            triangle.copy_from_slice(&x[panel.start..panel.start + panel.cols]);
+            below.fill(0.0);
+            panel.forward(factor, &mut column[..panel.height()], par);
+            let (triangle, below) = column.split_at(panel.cols);
+            x[panel.start..panel.start + panel.cols].copy_from_slice(triangle);
+            for (&row, b) in self.rows[panel.rows.clone()].iter().zip(below) {
+                x[row as usize] += b;
+            }
+        }
+    }
+
+    /// Sweeps `subtrees`; `x` is the part of the vector from unknown `x.1` on.
+    fn forward_subtrees(
+        &self,
+        factor: &[f64],
+        subtrees: &[Subtree],
+        x: (&mut [f64], usize),
+        columns: &mut [f64],
+        above: &mut [f64],
+        par: Par,
+    ) {
+        let (x, from) = x;
+        match subtrees {
+            [] => {}
+            [subtree] => {
+                let Subtree { panels, unknowns } = subtree;
+                above.fill(0.0);
+                for panel in &self.panels[panels.clone()] {
+                    let own = panel.start - from..panel.start - from + panel.cols;
+                    let column = &mut columns[..panel.height()];
+                    let (triangle, below) = column.split_at_mut(panel.cols);
+                    triangle.copy_from_slice(&x[own.clone()]);
+                    below.fill(0.0);
+                    panel.forward(factor, column, Par::Seq);
+                    let (triangle, below) = column.split_at(panel.cols);
+                    x[own].copy_from_slice(triangle);
+                    for (&row, b) in self.rows[panel.rows.clone()].iter().zip(below) {
+                        let row = row as usize;
+                        if row < unknowns.end {
+                            x[row - from] += b;
+                        } else {
+                            above[self.top_place[row] as usize] -= b;
+                        }
+                    }
+                }
+            }
+            _ => {
+                let (left, right) = subtrees.split_at(subtrees.len() / 2);
+                let cut = right[0].unknowns.start;
+                let (x_left, x_right) = x.split_at_mut(cut - from);
+                let (c_left, c_right) = columns.split_at_mut(left.len() * self.tallest);
+                let (a_left, a_right) = above.split_at_mut(left.len() * self.top.len());
+                join(
+                    par,
+                    || self.forward_subtrees(factor, left, (x_left, from), c_left, a_left, par),
+                    || self.forward_subtrees(factor, right, (x_right, cut), c_right, a_right, par),
+                );
+            }
+        }
+    }
+
+    /// x ← L⁻ᵀ x for all unknowns; if only `leading`, x_u ← L11⁻ᵀ (x_u − L21ᵀ x_g).
+    pub(crate) fn backward(
+        &self,
+        factor: &[f64],
+        x: &mut [f64],
+        leading: bool,
+        par: Par,
+        work: &mut Work,
+    ) {
+        self.resize(work);
+        let Work { columns, above } = work;
+        let (column, columns) = columns.split_at_mut(self.tallest);
+        for &p in self.top_panels.iter().rev() {
+            if leading && p >= self.leading {
+                continue;
+            }
+            let panel = &self.panels[p];
+            let own = panel.start..panel.start + panel.cols;
+            let column = &mut column[..panel.height()];
+            column[..panel.cols].copy_from_slice(&x[own.clone()]);
+            for (&row, c) in (self.rows[panel.rows.clone()].iter()).zip(&mut column[panel.cols..]) {
+                *c = x[row as usize];
+            }
+            panel.backward(factor, column, par);
+            x[own].copy_from_slice(&column[..panel.cols]);
+        }
+        let top = &mut above[..self.top.len()];
+        for (&unknown, t) in self.top.iter().zip(&mut *top) {
+            *t = x[unknown as usize];
+        }
+        self.backward_subtrees(factor, &self.subtrees, (x, 0), columns, top, par);
+    }
+
+    fn backward_subtrees(
+        &self,
+        factor: &[f64],
+        subtrees: &[Subtree],
+        x: (&mut [f64], usize),
+        columns: &mut [f64],
+        top: &[f64],
+        par: Par,
+    ) {
+        let (x, from) = x;
+        match subtrees {
+            [] => {}
+            [subtree] => {
+                let Subtree { panels, unknowns } = subtree;
+                for panel in self.panels[panels.clone()].iter().rev() {
+                    let own = panel.start - from..panel.start - from + panel.cols;
+                    let column = &mut columns[..panel.height()];
+                    column[..panel.cols].copy_from_slice(&x[own.clone()]);
+                    let rows = self.rows[panel.rows.clone()].iter();
+                    for (&row, c) in rows.zip(&mut column[panel.cols..]) {
+                        let row = row as usize;
+                        *c = if row < unknowns.end {
+                            x[row - from]
+                        } else {
+                            top[self.top_place[row] as usize]
+                        };
+                    }
+                    panel.backward(factor, column, Par::Seq);
+                    x[own].copy_from_slice(&column[..panel.cols]);
+                }
+            }
+            _ => {
+                let (left, right) = subtrees.split_at(subtrees.len() / 2);
+                let cut = right[0].unknowns.start;
+                let (x_left, x_right) = x.split_at_mut(cut - from);
+                let (c_left, c_right) = columns.split_at_mut(left.len() * self.tallest);
+                join(
+                    par,
+                    || self.backward_subtrees(factor, left, (x_left, from), c_left, top, par),
+                    || self.backward_subtrees(factor, right, (x_right, cut), c_right, top, par),
+                );
+            }
+        }
+    }
+
+    /// X ← A⁻¹ X for several right-hand sides, `buffer` holding `tallest × X.ncols()` values.
+    pub(crate) fn solve_many(
+        &self,
+        factor: &[f64],
+        mut x: MatMut<'_, f64>,
+        par: Par,
+        buffer: &mut Vec<f64>,
+    ) {
+        let k = x.ncols();
+        buffer.resize(self.tallest * k, 0.0);
+        let buffer = &mut buffer[..];
+        for panel in &self.panels {
+            let (triangle, below) = panel.view(factor).split_at_row(panel.cols);
+            let mut own = x.rb_mut().subrows_mut(panel.start, panel.cols);
+            triangular_solve::solve_lower_triangular_in_place(triangle, own.rb_mut(), par);
+            let rows = &self.rows[panel.rows.clone()];
+            let update = &mut buffer[..rows.len() * k];
+            let mut update = MatMut::from_column_major_slice_mut(update, rows.len(), k);
+            matmul::matmul(update.rb_mut(), Accum::Replace, below, own.rb(), 1.0, par);
+            for j in 0..k {
+                for (i, &row) in rows.iter().enumerate() {
+                    x[(row as usize, j)] -= update[(i, j)];
+                }
+            }
+        }
+        for panel in self.panels.iter().rev() {
+            let (triangle, below) = panel.view(factor).split_at_row(panel.cols);
+            let rows = &self.rows[panel.rows.clone()];
+            let values = &mut buffer[..rows.len() * k];
+            let mut values = MatMut::from_column_major_slice_mut(values, rows.len(), k);
+            for j in 0..k {
+                for (i, &row) in rows.iter().enumerate() {
+                    values[(i, j)] = x[(row as usize, j)];
+                }
+            }
+            let mut own = x.rb_mut().subrows_mut(panel.start, panel.cols);
+            let below = below.transpose();
+            matmul::matmul(own.rb_mut(), Accum::Add, below, values.rb(), -1.0, par);
+            triangular_solve::solve_upper_triangular_in_place(triangle.transpose(), own, par);
+        }
+    }
+
+    /// The factor of the trailing unknowns: `lower` (zero on entry) receives L22.
+    pub(crate) fn trailing_factor(&self, factor: &[f64], mut lower: MatMut<'_, f64>) {
+        let split = self.len - lower.nrows();
+        for panel in &self.panels[self.leading..] {
+            for j in 0..panel.cols {
+                let column = panel.start + j - split;
+                let (triangle, below) = panel.column(factor, j).split_at(panel.cols - j);
+                for (i, &v) in triangle.iter().enumerate() {
+                    lower[(column + i, column)] = v;
+                }
+                for (&row, &v) in self.rows[panel.rows.clone()].iter().zip(below) {
+                    lower[(row as usize - split, column)] = v;
+                }
+            }
+        }
+    }
+}
+
+impl Panel {
+    /// The first `cols` entries of `x` become L⁻¹ x, the others lose L21 times that.
+    fn forward(&self, factor: &[f64], x: &mut [f64], par: Par) {
+        let mut j = 0;
+        while j < self.cols {
+            let strip = STRIP.min(self.cols - j);
+            let (head, tail) = x[j..].split_at_mut(strip);
+            // The triangle of the strip …
+            let mut i = 0;
+            while i + GROUP <= strip {
+                let columns = self.group::<GROUP>(factor, j + i, 0, strip - i);
+                forward_group(columns, &mut head[i..]);
+                i += GROUP;
+            }
+            while i < strip {
+                forward_group(self.group::<1>(factor, j + i, 0, strip - i), &mut head[i..]);
+                i += 1;
+            }
+            // … and the rows below it.
+            self.subtract(factor, (j, strip), 0, head, tail, par);
+            j += strip;
+        }
+    }
+
+    /// `tail`, which starts `skip` rows below the strip of columns `(j, strip)`, loses the strip
+    /// times `head`.
+    fn subtract(
+        &self,
+        factor: &[f64],
+        (j, strip): (usize, usize),
+        skip: usize,
+        head: &[f64],
+        tail: &mut [f64],
+        par: Par,
+    ) {
+        if par.degree() > 1 && tail.len() * strip > PARALLEL_ENTRIES {
+            let half = (tail.len() / 2).next_multiple_of(8);
+            let (upper, lower) = tail.split_at_mut(half);
+            join(
+                par,
+                || self.subtract(factor, (j, strip), skip, head, upper, par),
+                || self.subtract(factor, (j, strip), skip + half, head, lower, par),
+            );
+            return;
+        }
+        let mut i = 0;
+        while i + GROUP <= strip {
+            let columns = self.group::<GROUP>(factor, j + i, strip - i + skip, tail.len());
+            subtract_group(columns, &head[i..], tail);
+            i += GROUP;
+        }
+        while i < strip {
+            let columns = self.group::<1>(factor, j + i, strip - i + skip, tail.len());
+            subtract_group(columns, &head[i..], tail);
+            i += 1;
+        }
+    }
+
+    /// The first `cols` entries of `x` become L11⁻ᵀ (x_u − L21ᵀ x_g).
+    fn backward(&self, factor: &[f64], x: &mut [f64], par: Par) {
+        let mut end = self.cols;
+        while end > 0 {
+            let strip = if end % STRIP == 0 { STRIP } else { end % STRIP };
+            let j = end - strip;
+            let (head, tail) = x[j..].split_at_mut(strip);
+            self.subtract_transposed(factor, j, strip, head, tail, par);
+            let mut i = strip;
+            while i % GROUP != 0 {
+                i -= 1;
+                backward_group(self.group::<1>(factor, j + i, 0, strip - i), &mut head[i..]);
+            }
+            while i > 0 {
+                i -= GROUP;
+                let columns = self.group::<GROUP>(factor, j + i, 0, strip - i);
+                backward_group(columns, &mut head[i..]);
+            }
+            end = j;
+        }
+    }
+
+    /// `head`, for the columns from `j` on, loses their transposes times `tail`, whose first row is
+    /// `below` rows below the diagonal entry of column `j`.
+    fn subtract_transposed(
+        &self,
+        factor: &[f64],
+        j: usize,
+        below: usize,
+        head: &mut [f64],
+        tail: &[f64],
+        par: Par,
+    ) {
+        if par.degree() > 1 && head.len() * tail.len() > PARALLEL_ENTRIES && head.len() > GROUP {
+            let half = (head.len() / 2).next_multiple_of(GROUP);
+            let (left, right) = head.split_at_mut(half);
+            join(
+                par,
+                || self.subtract_transposed(factor, j, below, left, tail, par),
+                || self.subtract_transposed(factor, j + half, below - half, right, tail, par),
+            );
+            return;
+        }
+        let mut i = 0;
+        while i + GROUP <= head.len() {
+            let columns = self.group::<GROUP>(factor, j + i, below - i, tail.len());
+            let sums = dot_group(columns, tail);
+            for (h, s) in head[i..].iter_mut().zip(sums) {
+                *h -= s;
+            }
+            i += GROUP;
+        }
+        while i < head.len() {
+            let [sum] = dot_group(self.group::<1>(factor, j + i, below - i, tail.len()), tail);
+            head[i] -= sum;
+            i += 1;
+        }
+    }
+
+    /// `B` columns from `j` on, `len` rows from `skip` rows below the diagonal entry of column `j`.
+    fn group<'a, const B: usize>(
+        &self,
+        factor: &'a [f64],
+        j: usize,
+        skip: usize,
+        len: usize,
+    ) -> [&'a [f64]; B] {
+        std::array::from_fn(|b| {
+            let begin = self.value + (j + b) * self.stride + j + skip;
+            &factor[begin..begin + len]
+        })
+    }
+}
+
+/// Forward substitution with `B` columns whose rows are those of `x`.
+fn forward_group<const B: usize>(columns: [&[f64]; B], x: &mut [f64]) {
+    let (head, tail) = x.split_at_mut(B);
+    for b in 0..B {
+        head[b] /= columns[b][b];
+        for i in b + 1..B {
+            head[i] -= columns[b][i] * head[b];
+        }
+    }
+    subtract_group(columns.map(|c| &c[B..]), head, tail);
+}
+
+fn backward_group<const B: usize>(columns: [&[f64]; B], x: &mut [f64]) {
+    let (head, tail) = x.split_at_mut(B);
+    let sums = dot_group(columns.map(|c| &c[B..]), tail);
+    for b in (0..B).rev() {
+        let mut value = head[b] - sums[b];
+        for i in b + 1..B {
+            value -= columns[b][i] * head[i];
+        }
+        head[b] = value / columns[b][b];
+    }
+}
+
+/// tail ← tail − columns · head.
+fn subtract_group<const B: usize>(columns: [&[f64]; B], head: &[f64], tail: &mut [f64]) {
+    let columns = columns.map(|c| &c[..tail.len()]);
+    let factors: [f64; B] = std::array::from_fn(|b| head[b]);
+    for i in 0..tail.len() {
+        let mut value = tail[i];
+        for b in 0..B {
+            value -= columns[b][i] * factors[b];
+        }
+        tail[i] = value;
+    }
+}
+
+/// columnsᵀ · tail.
+fn dot_group<const B: usize>(columns: [&[f64]; B], tail: &[f64]) -> [f64; B] {
+    // Independent sums that the compiler can keep in vector registers.
+    const LANES: usize = 4;
+    let columns = columns.map(|c| &c[..tail.len()]);
+    let mut sums = [[0.0; LANES]; B];
+    let whole = tail.len() - tail.len() % LANES;
+    for i in (0..whole).step_by(LANES) {
+        let t: [f64; LANES] = std::array::from_fn(|l| tail[i + l]);
+        for b in 0..B {
+            let c = &columns[b][i..i + LANES];
+            for l in 0..LANES {
+                sums[b][l] += c[l] * t[l];
+            }
+        }
+    }
+    let mut result = sums.map(|s| (s[0] + s[1]) + (s[2] + s[3]));
+    for i in whole..tail.len() {
+        for b in 0..B {
+            result[b] += columns[b][i] * tail[i];
+        }
+    }
+    result
+}
+
+/// Runs both, in parallel if `par` has several threads.
+fn join(par: Par, a: impl FnOnce() + Send, b: impl FnOnce() + Send) {
+    if par.degree() > 1 {
+        rayon::join(a, b);
+    } else {
+        a();
+        b();
+    }
+}
