@@ -1,6 +1,6 @@
 //! What a mesh is made from.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 use crate::{Lists, Vec3};
 
@@ -111,6 +111,23 @@ impl MeshData {
         uses
     }
 
+    /// Moves every vertex x to `map(x)`.
+    pub fn map_vertices(&mut self, map: impl FnMut(Vec3) -> Vec3) {
+        self.vertices = self.vertices.iter().copied().map(map).collect();
+    }
+
+    /// Gives every cell the region that `name` gives for the mean of its faces' means; `None` leaves it as
+    /// it is. Regions that no cell has any more keep their number.
+    pub fn assign_regions(&mut self, mut name: impl FnMut(Vec3) -> Option<&'static str>) {
+        for cell in 0..self.cells.len() {
+            let faces = self.cells.get(cell);
+            let mean = faces.iter().map(|&f| self.face_mean(f)).sum::<Vec3>() / faces.len() as f64;
+            if let Some(name) = name(mean) {
+                self.cell_region[cell] = self.region(name);
+            }
+        }
+    }
+
     /// Tags every boundary face by the name that `name` gives for the mean of its vertices; `None`
     /// leaves it as it is.
     pub fn tag_boundary(&mut self, mut name: impl FnMut(Vec3) -> Option<&'static str>) {
@@ -148,18 +165,23 @@ fn number_of(names: &mut Vec<String>, name: &str) -> usize {
 
 /// Numbers faces by their set of vertices.
 #[derive(Default)]
-struct FaceTable {
-    lists: Lists,
-    numbers: HashMap<Vec<usize>, usize>,
+pub(crate) struct FaceTable {
+    pub(crate) lists: Lists,
+    numbers: FxHashMap<Vec<usize>, usize>,
+    key: Vec<usize>,
 }
 
 impl FaceTable {
-    fn number(&mut self, vertices: &[usize]) -> usize {
-        let mut key = vertices.to_vec();
-        key.sort_unstable();
-        *self.numbers.entry(key).or_insert_with(|| {
-            self.lists.push(vertices.iter().copied());
-            self.lists.len() - 1
-        })
+    pub(crate) fn number(&mut self, vertices: &[usize]) -> usize {
+        self.key.clear();
+        self.key.extend_from_slice(vertices);
+        self.key.sort_unstable();
+        if let Some(&number) = self.numbers.get(&self.key) {
+            return number;
+        }
+        let number = self.lists.len();
+        self.lists.push(vertices.iter().copied());
+        self.numbers.insert(self.key.clone(), number);
+        number
     }
 }

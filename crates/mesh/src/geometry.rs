@@ -11,7 +11,8 @@ use crate::{Lists, Vec3, data::mean};
 /// Measures (m, m², m³ according to dimension), centres and weights of a mesh.
 #[derive(Clone, Debug, Default)]
 pub struct Geometry {
-    /// Length (2D) or area (3D) of each face: the sum over its triangles.
+    /// Length (2D) or area (3D) of each face: the sum over its triangles, where one that is turned over (in a face
+    /// that is not convex) counts negative.
     pub face_measure: Vec<f64>,
     /// Integral of the unit normal over each face, out of its first cell; its length is the face's measure
     /// where the face is planar.
@@ -57,15 +58,17 @@ impl Geometry {
             } else {
                 let n = list.len();
                 let m = mean(vertices, list);
+                let triangle = |i: usize| 0.5 * (vertices[list[i]] - m).cross(vertices[list[(i + 1) % n]] - m);
+                total = (0..n).map(triangle).sum();
                 for i in 0..n {
-                    let j = (i + 1) % n;
-                    let area = 0.5 * (vertices[list[i]] - m).cross(vertices[list[j]] - m);
-                    for end in [i, j] {
-                        weight[end] += area.length() / 3.0;
+                    let area = triangle(i);
+                    // Where the mean does not see the edge, the triangle counts negative.
+                    let size = area.length().copysign(area.dot(total));
+                    for end in [i, (i + 1) % n] {
+                        weight[end] += size / 3.0;
                         vector[end] += area / 3.0;
                     }
-                    measure += area.length();
-                    total += area;
+                    measure += size;
                 }
                 for i in 0..n {
                     weight[i] = (weight[i] + measure / (3 * n) as f64) / measure;

@@ -18,7 +18,9 @@ mod geometry;
 mod lists;
 mod network;
 mod nodes;
+mod random;
 mod topology;
+mod transform;
 
 pub use data::MeshData;
 pub use error::{MeshError, Problem};
@@ -27,6 +29,7 @@ pub use glam::DVec3 as Vec3;
 pub use lists::Lists;
 pub use network::{EdgeKind, Network, Side, tangents};
 pub use nodes::Nodes;
+pub use transform::Renumbering;
 
 /// A checked mesh with all that is derived from it.
 ///
@@ -110,6 +113,23 @@ impl Mesh {
     /// The vertices of a cell, ascending.
     pub fn cell_vertices(&self, cell: usize) -> &[usize] {
         self.cell_vertices.get(cell)
+    }
+
+    /// The corners of a cell of a 2D mesh, counter-clockwise.
+    pub fn cell_polygon(&self, cell: usize) -> Vec<usize> {
+        let mut edges: Vec<(usize, usize)> = (self.cell_faces(cell).iter().zip(self.cell_face_signs(cell)))
+            .map(|(&face, &sign)| {
+                let list = self.face_vertices(face);
+                if sign > 0.0 { (list[0], list[list.len() - 1]) } else { (list[list.len() - 1], list[0]) }
+            })
+            .collect();
+        // The surface is closed and in one piece: each edge has one that continues it.
+        for i in 1..edges.len() {
+            if let Some(next) = (i..edges.len()).find(|&j| edges[j].0 == edges[i - 1].1) {
+                edges.swap(i, next);
+            }
+        }
+        edges.into_iter().map(|edge| edge.0).collect()
     }
 
     /// The vertices of all cells.
