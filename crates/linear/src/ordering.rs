@@ -196,3 +196,57 @@ impl Graph {
         result
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The elimination tree by eliminating in a full array, and the number of entries.
+    fn eliminate(graph: &Graph, order: &[u32]) -> (Vec<Option<usize>>, usize) {
+        let n = order.len();
+        let mut full = vec![vec![false; n]; n];
+        for (i, &v) in order.iter().enumerate() {
+            for (j, &w) in order.iter().enumerate() {
+                full[i][j] = graph.neighbours(v as usize).contains(&(w as i32));
+            }
+        }
+        let mut entries = 0;
+        let mut parents = Vec::new();
+        for k in 0..n {
+            let below: Vec<usize> = (k + 1..n).filter(|&i| full[i][k]).collect();
+            for &i in &below {
+                for &j in &below {
+                    full[i][j] |= i != j;
+                }
+            }
+            entries += below.len();
+            parents.push(below.first().copied());
+        }
+        (parents, entries)
+    }
+
+    #[test]
+    fn post_order_makes_subtrees_contiguous_and_keeps_the_fill() {
+        // Two grids apart, eliminated in strides.
+        let cells = (0..60u32).flat_map(|v| {
+            let right = (v % 6 != 5).then_some([v, v + 1]);
+            let up = (v % 30 < 24).then_some([v, v + 6]);
+            right.into_iter().chain(up)
+        });
+        let pattern = Pattern::uniform(60, 1, cells).unwrap();
+        let graph = Graph::new(&pattern, &[false; 60]).unwrap();
+        let order: Vec<u32> = (0..60).map(|k| k * 7 % 60).collect();
+        let (_, before) = eliminate(&graph, &order);
+        let (parents, after) = eliminate(&graph, &graph.post_order(&order));
+        assert_eq!(before, after);
+        let mut first: Vec<usize> = (0..60).collect();
+        let mut size = vec![1; 60];
+        for k in 0..60 {
+            assert_eq!(k + 1 - first[k], size[k]);
+            if let Some(p) = parents[k] {
+                first[p] = first[p].min(first[k]);
+                size[p] += size[k];
+            }
+        }
+    }
+}

@@ -229,8 +229,7 @@ impl SparseSymmetric {
     ///
     /// `local` is a square matrix by rows over the unknowns of `blocks`, in the order of that list.
     /// Only one triangle per pair of unknowns is read: the one whose row is the larger global
-    /// unknown. A block may occur twice (its contributions are then all added; the two
-    /// off-diagonal parts enter once each).
+    /// unknown. A block may occur twice, its contributions are then all added.
     ///
     /// # Errors
     /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks

@@ -156,10 +156,225 @@ fn agrees_with_dense_across_many_supernodes() {
 }
 
 #[test]
+fn agrees_with_dense_where_threads_pay() {
+    let mut random = Random(31);
+    let (sparse, dense) = assemble(&[75; 8], &grid(2, 2, 2), &mut random);
+    let trailing = random.choose(600, 100);
+    check(&sparse, &dense, &trailing, Method::Metis, Par::rayon(2));
+}
+
+#[test]
 fn empty_system() {
     let pattern = Arc::new(Pattern::uniform(0, 3, [[0u32; 0]]).unwrap());
     let a = SparseSymmetric::zeros(Arc::clone(&pattern));
     let cholesky = Cholesky::new(&symbolic(&pattern, Method::Metis, &[]), &a, Par::Seq).unwrap();
     cholesky.solve(&mut [], &mut Scratch::default()).unwrap();
     assert_eq!(cholesky.schur().unwrap().nrows(), 0);
+}
+
+fn bits(v: &[f64]) -> Vec<u64> {
+    v.iter().map(|v| v.to_bits()).collect()
+}
+
+#[test]
+fn refactorising_repeats_the_bits_of_a_fresh_factor() {
+    // Small supernodes; and one large enough to be factorised in parallel.
+    for (sizes, cells) in [
+        ([3; 125].to_vec(), grid(5, 5, 5)),
+        ([75; 8].to_vec(), grid(2, 2, 2)),
+    ] {
+        let mut random = Random(40);
+        let (first, _) = assemble(&sizes, &cells, &mut random);
+        let (second, _) = assemble(&sizes, &cells, &mut random);
+        let trailing = random.choose(first.len(), 40);
+        let symbolic = symbolic(first.pattern(), Method::Metis, &trailing);
+        let b = random.vector(first.len());
+        for par in [Par::Seq, Par::rayon(2)] {
+            let solve = |cholesky: &Cholesky| {
+                let mut x = b.clone();
+                cholesky.solve(&mut x, &mut Scratch::default()).unwrap();
+                let schur = cholesky.schur().unwrap();
+                let schur = (0..40).flat_map(|j| schur.col(j).iter().copied().collect::<Vec<_>>());
+                bits(&x.into_iter().chain(schur).collect::<Vec<_>>())
+            };
+            let fresh = solve(&Cholesky::new(&symbolic, &second, par).unwrap());
+            let mut cholesky = Cholesky::new(&symbolic, &first, par).unwrap();
+            assert_ne!(solve(&cholesky), fresh);
+            cholesky.refactorise(&second).unwrap();
+            assert_eq!(solve(&cholesky), fresh);
+            // And after a failure in between.
+            let mut bad = first.clone();
+            bad.values_mut().fill(-1.0);
+            cholesky.refactorise(&bad).unwrap_err();
+            cholesky.refactorise(&second).unwrap();
+            assert_eq!(solve(&cholesky), fresh);
+        }
+    }
+}
+
+#[test]
+fn orders_repeat_and_keep_trailing_unknowns_last() {
+    let pattern = Arc::new(Pattern::uniform(1000, 3, grid(10, 10, 10)).unwrap());
+    for method in METHODS {
+        let once = Ordering::new(&pattern, method, &[5, 2]).unwrap();
+        assert_eq!(once, Ordering::new(&pattern, method, &[5, 2]).unwrap());
+        assert_eq!(once.trailing(), 2);
+        assert_eq!(once.unknowns()[2998..], [5, 2]);
+        let mut sorted = once.unknowns().to_vec();
+        sorted.sort_unstable();
+        assert!(sorted.into_iter().eq(0..3000));
+    }
+}
+
+#[test]
+fn dissection_beats_minimum_degree_in_space() {
+    let entries = |cells: Vec<Vec<u32>>, blocks: usize, method| {
+        let pattern = Arc::new(Pattern::uniform(blocks, 3, cells).unwrap());
+        symbolic(&pattern, method, &[]).factor_entries()
+    };
+    let space = METHODS.map(|method| entries(grid(20, 20, 20), 8000, method));
+    assert!(space[0] * 10 < space[1] * 8, "{space:?}");
+    let plane = METHODS.map(|method| entries(grid(64, 64, 1), 4096, method));
+    assert!(
+        plane[0] < plane[1] * 12 / 10 && plane[1] < plane[0] * 12 / 10,
+        "{plane:?}"
+    );
+    // A natural order of the plane would fill its band: 64 · 3 rows in each column.
+    assert!(plane[0] < 3 * 4096 * 192 * 2 / 3, "{plane:?}");
+}
+
+#[test]
+fn accounts_for_memory() {
+    let mut random = Random(50);
+    let (a, _) = assemble(&[1; 4], &[vec![0, 1, 2, 3]], &mut random);
+    let cholesky = Cholesky::new(&symbolic(a.pattern(), Method::Amd, &[]), &a, Par::Seq).unwrap();
+    let memory = cholesky.memory();
+    assert_eq!((memory.factor_entries, memory.factor_bytes), (16, 128));
+    assert!(memory.total_bytes > 128 + 80);
+}
+
+#[test]
+fn wrong_input_is_reported() {
+    let mut random = Random(60);
+    let (a, _) = assemble(&[2; 36], &grid(6, 6, 1), &mut random);
+    let pattern = a.pattern();
+    assert_eq!(
+        Ordering::new(pattern, Method::Amd, &[3, 72]).unwrap_err(),
+        Error::OutOfRange {
+            what: "trailing unknown",
+            index: 72,
+            bound: 72
+        }
+    );
+    assert_eq!(
+        Ordering::new(pattern, Method::Amd, &[3, 4, 3]).unwrap_err(),
+        Error::Repeated {
+            what: "trailing unknown",
+            index: 3
+        }
+    );
+    let other = Arc::new(Pattern::uniform(72, 1, [[0u32, 71]]).unwrap());
+    let one = Arc::new(Pattern::uniform(1, 1, [[0u32]]).unwrap());
+    assert!(matches!(
+        Symbolic::new(&one, Ordering::new(pattern, Method::Amd, &[]).unwrap()),
+        Err(Error::Dimension {
+            what: "ordering",
+            expected: 1,
+            found: 72
+        })
+    ));
+    let symbolic = symbolic(pattern, Method::Metis, &[7, 3]);
+    assert_eq!(
+        Cholesky::new(&symbolic, &SparseSymmetric::zeros(other), Par::Seq).unwrap_err(),
+        Error::PatternMismatch
+    );
+
+    // An equal pattern built elsewhere is accepted.
+    let mut same = SparseSymmetric::zeros(Arc::new((**pattern).clone()));
+    same.values_mut().copy_from_slice(a.values());
+    let mut cholesky = Cholesky::new(&symbolic, &same, Par::Seq).unwrap();
+
+    let mut scratch = Scratch::default();
+    let mut forward = Forward::default();
+    assert!(matches!(
+        cholesky.solve(&mut [0.0; 71], &mut scratch),
+        Err(Error::Dimension {
+            expected: 72,
+            found: 71,
+            ..
+        })
+    ));
+    assert!(matches!(
+        cholesky.solve_many(Mat::zeros(73, 2).as_mut(), &mut scratch),
+        Err(Error::Dimension {
+            expected: 72,
+            found: 73,
+            ..
+        })
+    ));
+    assert!(
+        cholesky
+            .forward(&[0.0; 71], &mut forward, &mut scratch)
+            .is_err()
+    );
+    let x = &mut [0.0; 72];
+    assert!(matches!(
+        cholesky.backward(&forward, &[0.0; 2], x, &mut scratch),
+        Err(Error::Dimension {
+            what: "forward",
+            ..
+        })
+    ));
+    cholesky
+        .forward(&[0.0; 72], &mut forward, &mut scratch)
+        .unwrap();
+    assert!(matches!(
+        cholesky.backward(&forward, &[0.0; 3], x, &mut scratch),
+        Err(Error::Dimension {
+            what: "trailing values",
+            expected: 2,
+            found: 3
+        })
+    ));
+
+    // Entry k of the values: its row and column.
+    let (ptr, row) = pattern.lower();
+    let k = ptr[20] as usize + 1;
+    same.values_mut()[k] = f64::INFINITY;
+    assert_eq!(
+        cholesky.refactorise(&same).unwrap_err(),
+        Error::NonFinite {
+            row: row[k] as usize,
+            column: 20
+        }
+    );
+    assert_eq!(
+        cholesky.solve(x, &mut scratch).unwrap_err(),
+        Error::NotFactorised
+    );
+    assert_eq!(cholesky.schur().unwrap_err(), Error::NotFactorised);
+
+    for unknown in 0..72 {
+        same.values_mut().copy_from_slice(a.values());
+        same.values_mut()[ptr[unknown] as usize] = -1.0;
+        let error = cholesky.refactorise(&same).unwrap_err();
+        // Without this unknown the matrix is positive definite, so it is the one to break down.
+        assert_eq!(error, Error::NotPositiveDefinite { unknown });
+    }
+}
+
+#[test]
+fn inaccuracy_is_reported() {
+    // Subnormal pivots are positive, but the solution overflows.
+    let pattern = Arc::new(Pattern::uniform(1, 2, [[0u32]]).unwrap());
+    let mut a = SparseSymmetric::zeros(Arc::clone(&pattern));
+    a.add(&[0], &[1e-320, 0.0, 0.0, 1e-320]).unwrap();
+    let error = Cholesky::new(&symbolic(&pattern, Method::Amd, &[]), &a, Par::Seq).unwrap_err();
+    assert!(matches!(
+        error,
+        Error::Inaccurate {
+            tolerance: linear::MAX_RESIDUAL,
+            ..
+        }
+    ));
 }
