@@ -112,6 +112,13 @@ struct Preconditioner {
     corner: PartialPivLu<f32>,
 }
 
+impl FaceFactor {
+    /// The laws that were factorised, from which [`FractureProblem::face_factor`] makes the same factor.
+    pub(crate) fn laws(&self) -> &[Linearised] {
+        &self.laws
+    }
+}
+
 /// The factor that the next linear solve starts from, and the columns of borders that were needed with it: for each
 /// component, the factor's inverse times its column.
 #[derive(Default)]
@@ -406,7 +413,7 @@ impl FractureProblem<'_> {
     }
 
     /// The dense factorisation for given laws; the same laws give the same bits.
-    fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
         let unknowns = unknowns(&laws, self.dim);
         let lu = self.rows(&laws, &unknowns, &unknowns).partial_piv_lu();
         FaceFactor { laws, unknowns, lu }
