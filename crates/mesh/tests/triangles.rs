@@ -43,7 +43,7 @@ fn a_crack_in_a_wide_domain_has_the_prescribed_faces() {
     assert_eq!(edges(&mesh, EdgeKind::Tip), 2);
     assert!((area(&mesh) - 320.0 * 320.0).abs() < 1e-6);
     let angles = angles(&mesh);
-    assert!(angles[0] > 25.0 && angles[angles.len() / 2] > 45.0, "{} {}", angles[0], angles[angles.len() / 2]);
+    assert!(angles[0] > 30.0 && angles[angles.len() / 2] > 50.0, "{} {}", angles[0], angles[angles.len() / 2]);
     // Sizes reach that far away, neither coarser nor finer.
     let largest = mesh.geometry().face_measure.iter().fold(0.0, |m: f64, &l| m.max(l));
     assert!(largest > 15.0 && largest < 35.0, "{largest}");
@@ -126,7 +126,7 @@ fn the_domain_may_be_a_polygon_that_is_not_convex() {
 fn the_size_function_rules_on_lines_too() {
     let data = Triangles::rectangle([0.0, 0.0], [1.0, 1.0], 0.2)
         .fracture("a", &[[0.2, 0.5], [0.8, 0.5]], 0.1)
-        .size(|x| 0.02 + 0.3 * x.x)
+        .size(|x| 0.02 + 0.2 * x.x)
         .build()
         .unwrap();
     let mesh = Mesh::new(data).unwrap();
@@ -135,12 +135,7 @@ fn the_size_function_rules_on_lines_too() {
         let face = mesh.network().faces.iter().min_by(|a, b| by_distance(a).total_cmp(&by_distance(b))).unwrap();
         mesh.geometry().face_measure[*face]
     };
-    assert!(
-        (near(0.2) / 0.085 - 1.0).abs() < 0.2 && (near(0.7) / 0.1 - 1.0).abs() < 0.1,
-        "{} {}",
-        near(0.2),
-        near(0.7)
-    );
+    assert!((near(0.2) / 0.06 - 1.0).abs() < 0.2 && (near(0.7) / 0.1 - 1.0).abs() < 0.1, "{} {}", near(0.2), near(0.7));
 }
 
 #[test]
