@@ -1,4 +1,5 @@
-//! Seconds and memory of one time step, and of bare faer on the same system. `cargo bench -p flow-fmu`; see RESULTS.md.
+//! Seconds and memory of one time step, and of bare faer on the same system: `cargo bench -p flow-fmu [-- WORD]` takes
+//! the meshes whose names contain the word. See RESULTS.md.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,7 +20,10 @@ const REPEATS: usize = 5;
 fn main() {
     println!("| mesh | cells | unknowns | entries of the factor | factor (MB) |");
     println!("|---|---|---|---|---|");
-    let results: Vec<_> = meshes().into_iter().map(|(name, data)| (name, measure(name, data))).collect();
+    // Cargo adds an option of its own.
+    let word = std::env::args().skip(1).find(|a| !a.starts_with('-')).unwrap_or_default();
+    let chosen = meshes().into_iter().filter(|m| m.0.contains(&word));
+    let results: Vec<_> = chosen.map(|(name, data)| (name, measure(name, data))).collect();
     println!("\n| mesh | what | flow (s) | bare faer (s) | ratio |");
     println!("|---|---|---|---|---|");
     for (name, rows) in results {
