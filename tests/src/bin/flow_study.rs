@@ -124,7 +124,13 @@ fn plot(output: &Path, name: &str, title: &str, axes: [&str; 2], curves: &[(Stri
                     chart.draw_series(curve.iter().map(|&p| Circle::new(p, 4, color.filled())))?;
                 }
             }
-            chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+            let place = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::LowerLeft };
+            chart
+                .configure_series_labels()
+                .position(place)
+                .background_style(WHITE.mix(0.8))
+                .border_style(BLACK)
+                .draw()?;
         }};
     }
     if log {
