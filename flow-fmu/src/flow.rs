@@ -686,7 +686,7 @@ impl Flow {
                 inputs.aperture[i] + inputs.aperture_compliance[i] * from_reference
             })
             .collect();
-        if let Some(i) = aperture.iter().position(|&d| !(d > 0.0)) {
+        if let Some(i) = aperture.iter().position(|&d| d.is_nan() || d <= 0.0) {
             return Err(FlowError::Closed { fracture_face: i, aperture: aperture[i] });
         }
         let fluxes = self.fluxes_of(&evaluation, inflow);

@@ -124,7 +124,13 @@ fn plot(output: &Path, name: &str, title: &str, axes: [&str; 2], curves: &[(Stri
                     chart.draw_series(curve.iter().map(|&p| Circle::new(p, 4, color.filled())))?;
                 }
             }
-            chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+            let place = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::LowerLeft };
+            chart
+                .configure_series_labels()
+                .position(place)
+                .background_style(WHITE.mix(0.8))
+                .border_style(BLACK)
+                .draw()?;
         }};
     }
     if log {
@@ -570,7 +576,7 @@ fn consolidation(output: &Path) -> Outcome<()> {
     let exact = |x: f64, t: f64| -> f64 {
         let term = |k: usize| {
             let m = (k as f64 + 0.5) * PI;
-            2.0 * if k % 2 == 0 { 1.0 } else { -1.0 } / m * (m * x).cos() * (-m * m * t).exp()
+            2.0 * if k.is_multiple_of(2) { 1.0 } else { -1.0 } / m * (m * x).cos() * (-m * m * t).exp()
         };
         (0..200).map(term).sum()
     };
