@@ -1,0 +1,177 @@
+//! What can go wrong.
+
+use std::fmt;
+
+/// One thing that is wrong with the description of a flow problem.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Problem {
+    /// A number is outside its range, infinite or undefined.
+    #[error("{of}: {quantity} is {value:e}; it must be {must}")]
+    Value {
+        /// What it belongs to, with its name.
+        of: String,
+        /// What it is.
+        quantity: &'static str,
+        /// What was given.
+        value: f64,
+        /// The range.
+        must: &'static str,
+    },
+    /// A permeability is not symmetric.
+    #[error("{of}: the permeability is not symmetric (entries differ by {difference:e} m²)")]
+    NotSymmetric {
+        /// The region.
+        of: String,
+        /// Largest difference of two entries that should be equal (m²).
+        difference: f64,
+    },
+    /// A permeability is not positive definite.
+    #[error("{of}: the permeability is not positive definite (a leading minor is {minor:e})")]
+    NotDefinite {
+        /// The region.
+        of: String,
+        /// The first leading minor that is not positive.
+        minor: f64,
+    },
+    /// A name refers to nothing in the mesh.
+    #[error("there is no {kind} \"{name}\" in the mesh; it has {known:?}")]
+    Unknown {
+        /// Region, boundary tag or fracture.
+        kind: &'static str,
+        /// The name.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// Something in the mesh got no properties.
+    #[error("{kind} \"{name}\" of the mesh has no properties")]
+    Missing {
+        /// Region or fracture.
+        kind: &'static str,
+        /// The name.
+        name: String,
+    },
+    /// The same name is given twice, or is empty.
+    #[error("{kind} \"{name}\" is given twice, or its name is empty")]
+    Repeated {
+        /// Region, fracture, boundary tag or well.
+        kind: &'static str,
+        /// The name.
+        name: String,
+    },
+    /// A well is in no cell, or on no fracture face.
+    #[error("well \"{well}\" at ({x}, {y}, {z}) lies {outside}")]
+    WellOutside {
+        /// Its name.
+        well: String,
+        /// Outside of what.
+        outside: &'static str,
+        /// Where it is (m).
+        x: f64,
+        /// Where it is (m).
+        y: f64,
+        /// Where it is (m).
+        z: f64,
+    },
+    /// The index of a well cannot be had from its radius.
+    #[error("well \"{well}\": {reason}")]
+    WellIndex {
+        /// Its name.
+        well: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// An array has the wrong length.
+    #[error("{array} has {found} entries; it needs {expected}")]
+    Length {
+        /// The array.
+        array: &'static str,
+        /// Its length.
+        found: usize,
+        /// One for each entity.
+        expected: usize,
+    },
+    /// Part of the rock is connected to nothing that fixes its pressure.
+    #[error(
+        "nothing fixes the pressure in {cells} cells (the first is {first_cell:?}) and {fracture_faces} fracture faces \
+         that are connected to each other: no boundary pressure, no well with a pressure, no compressibility"
+    )]
+    Isolated {
+        /// Number of cells.
+        cells: usize,
+        /// The lowest of them.
+        first_cell: Option<usize>,
+        /// Number of fracture faces.
+        fracture_faces: usize,
+    },
+}
+
+/// An error of the flow.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum FlowError {
+    /// The description or the inputs are wrong: all that was found, never empty.
+    Invalid(Vec<Problem>),
+    /// An aperture falls to zero or below when the pressures of the time step close it. A smaller time step, a
+    /// smaller compliance or a better reference may help.
+    Closed {
+        /// The fracture face.
+        fracture_face: usize,
+        /// What its aperture would be (m).
+        aperture: f64,
+    },
+    /// The wells keep changing between rate and pressure.
+    WellLimits {
+        /// How often they changed.
+        changes: usize,
+    },
+    /// There is no solved time step that this could refer to.
+    NothingSolved,
+    /// The linear system could not be solved.
+    Linear(linear::Error),
+}
+
+/// How many problems a message spells out.
+const SHOWN: usize = 20;
+
+impl fmt::Display for FlowError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Invalid(problems) => {
+                let n = problems.len();
+                write!(f, "the flow problem has {n} fault{}:", if n == 1 { "" } else { "s" })?;
+                for problem in problems.iter().take(SHOWN) {
+                    write!(f, "\n  {problem}")?;
+                }
+                if n > SHOWN {
+                    write!(f, "\n  and {} more", n - SHOWN)?;
+                }
+                Ok(())
+            }
+            Self::Closed { fracture_face, aperture } => {
+                write!(f, "fracture face {fracture_face} would get an aperture of {aperture:e} m in this time step")
+            }
+            Self::WellLimits { changes } => {
+                write!(f, "after {changes} changes the wells still switch between rate and pressure")
+            }
+            Self::NothingSolved => write!(f, "no time step has been solved from this state yet"),
+            Self::Linear(error) => write!(f, "the linear system of the flow: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for FlowError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Linear(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<linear::Error> for FlowError {
+    fn from(error: linear::Error) -> Self {
+        Self::Linear(error)
+    }
+}
