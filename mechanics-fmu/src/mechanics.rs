@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::contact::{ContactState, Face, FacePartner, Local};
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
-use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur};
+use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur, SingularFracture};
 use crate::space::Space;
 use crate::system::{SetupReport, System, boundary_nodes};
 
@@ -268,7 +268,6 @@ impl Mechanics {
             *part = clock.elapsed();
             clock = Instant::now();
         };
-        let d = self.mesh.dim();
         let loads = self.loads(time)?;
         let mut rhs = loads.clone();
         self.add_pressures(partner, previous, &mut rhs)?;
@@ -291,12 +290,13 @@ impl Mechanics {
         let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
+            largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
             previous: previous_jump,
             origin: &previous.initial_jump,
             partners: &partners,
             guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        let solution = problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
+        let solution = problem.solve(&data, previous.factor.clone()).map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
@@ -336,11 +336,6 @@ impl Mechanics {
             faces: &self.faces,
             settings: self.model.newton,
         }
-    }
-
-    fn singular(&self, states: &[ContactState]) -> MechanicsError {
-        let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
-        MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
     }
 
     fn check_partner(&self, partner: &Partner) -> Result<(), MechanicsError> {
@@ -615,6 +610,7 @@ impl Mechanics {
         let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: change,
+            largest_force: 0.0,
             previous: &state.history.previous_jump,
             origin: &state.initial_jump,
             partners: &state.history.partners,
@@ -623,7 +619,7 @@ impl Mechanics {
         let jump = state.jump(&self.system.space);
         problem
             .response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change)
-            .map_err(|_| self.singular(&state.contact))
+            .map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
@@ -748,6 +744,11 @@ impl Mechanics {
             friction,
         })
     }
+}
+
+fn singular(SingularFracture(states): SingularFracture) -> MechanicsError {
+    let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
+    MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
 }
 
 impl State {

@@ -142,12 +142,13 @@ fn pieces_that_move_apart_leave_constant_jumps_and_no_traction() {
         tested += 1;
         let [low, high] = bounds(mesh.vertices());
         let extent = high.distance(low);
+        let slender = (high - low).to_array().into_iter().take(d).fold(extent, f64::min) / extent;
         // Apart, and turned a little: by an angle that closes nothing.
         let motion = {
             let middles = middles.clone();
             move |piece: usize, x: Vec3| {
                 let turn = if d == 2 { Vec3::Z } else { Vec3::new(0.3, -0.2, 1.0) };
-                let angle = 1e-5 * (piece as f64 - 1.0);
+                let angle = 1e-5 * slender * (piece as f64 - 1.0);
                 1e-3 * (middles[piece] - low) + angle * turn.cross(x - middles[piece])
             }
         };
