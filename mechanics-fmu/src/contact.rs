@@ -39,9 +39,8 @@ pub(crate) struct Face {
     pub(crate) measure: f64,
     /// β (Pa/m).
     pub(crate) beta: f64,
-    /// A stiffness across the slip (Pa/m) that is as good as rigid. An infinite one, where a slip has only begun, would
-    /// drown the stiffness along it in single precision.
-    rigid: f64,
+    /// Of the bulk against a jump of this face alone (Pa/m).
+    pub(crate) stiffness: f64,
     pub(crate) friction: Friction,
     /// tan ψ.
     pub(crate) dilation: f64,
@@ -72,6 +71,10 @@ pub(crate) struct Linearised {
     pub(crate) constant: Local,
 }
 
+/// A stiffness across the slip that is as good as rigid, as a multiple of that of the bulk. An infinite one, where a slip
+/// has only begun, would drown the stiffness along it in single precision.
+const RIGID: f64 = 1e4;
+
 fn norm(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
@@ -88,7 +91,7 @@ impl Face {
         Self {
             measure,
             beta: beta_factor * stiffness,
-            rigid: 1e4 * stiffness,
+            stiffness,
             friction: law.friction,
             dilation: law.dilation_angle.tan(),
             compliance: law.normal_stiffness.map_or(0.0, |k| 1.0 / k),
@@ -209,7 +212,7 @@ impl Face {
         let length = norm(&b[1..]);
         let (e, ratio) =
             if length > 0.0 { ([b[1] / length, b[2] / length], self.bound(b[0]) / length) } else { ([0.0; 2], 0.0) };
-        let kappa = (self.beta * ratio / (1.0 - ratio)).min(self.rigid);
+        let kappa = (self.beta * ratio / (1.0 - ratio)).min(RIGID * self.stiffness);
         let f = self.coefficient();
         let fixed_bound = self.bound(0.0);
         for i in 1..dim {

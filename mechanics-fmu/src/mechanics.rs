@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
-use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur};
+use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur, SingularFracture};
 use crate::space::Space;
 use crate::system::{SetupReport, System, boundary_nodes};
 
@@ -304,12 +304,13 @@ impl Mechanics {
         let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
+            largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
             previous: previous_jump,
             origin: &previous.initial_jump,
             partners: &partners,
             guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        let solution = problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
+        let solution = problem.solve(&data, previous.factor.clone()).map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
@@ -349,11 +350,6 @@ impl Mechanics {
             faces: &self.faces,
             settings: self.model.newton,
         }
-    }
-
-    fn singular(&self, states: &[ContactState]) -> MechanicsError {
-        let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
-        MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
     }
 
     fn check_partner(&self, partner: &Partner) -> Result<(), MechanicsError> {
@@ -669,15 +665,14 @@ impl Mechanics {
         let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: change,
+            largest_force: 0.0,
             previous: &state.history.previous_jump,
             origin: &state.initial_jump,
             partners: &state.history.partners,
             guess: None,
         };
         let jump = state.jump(&self.system.space);
-        problem
-            .response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change)
-            .map_err(|_| self.singular(&state.contact))
+        problem.response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change).map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
@@ -802,6 +797,11 @@ impl Mechanics {
             friction,
         })
     }
+}
+
+fn singular(SingularFracture(states): SingularFracture) -> MechanicsError {
+    let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
+    MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
 }
 
 impl State {

@@ -43,6 +43,9 @@ const KRYLOV: usize = 40;
 const BORDER: usize = 4;
 /// The preconditioner is renewed when a solve needed more iterations than this.
 const RENEW_ABOVE: usize = 8;
+/// What round-off leaves of a force, as part of the largest given force and of the forces that cancel in S δ. Where nothing
+/// presses on the fracture, tractions are nothing else.
+const ROUND_OFF: f64 = 1e-14;
 /// Gauss–Seidel sweeps after a cycle.
 const SWEEPS: usize = 5;
 
@@ -67,6 +70,8 @@ pub(crate) struct Schur<'a> {
 pub(crate) struct FractureData<'a> {
     /// Condensed right-hand side (N): faces × d.
     pub(crate) rhs: &'a [f64],
+    /// Largest force given on an unknown of the body (N), which tells how large round-off is.
+    pub(crate) largest_force: f64,
     /// Jump at the previous time (m): faces × d.
     pub(crate) previous: &'a [f64],
     /// Slip is counted from here (m): faces × d.
@@ -88,6 +93,8 @@ struct Iterate {
     states: Vec<ContactState>,
     /// Largest violation of a contact law (Pa).
     violation: f64,
+    /// The same beyond round-off.
+    excess: f64,
 }
 
 /// A dense LU factorisation of the linearised problem at some earlier states.
@@ -158,9 +165,9 @@ pub(crate) struct FractureSolution {
     pub(crate) change: f64,
 }
 
-/// The linearised problem cannot be solved.
+/// The linearised problem cannot be solved at these contact states.
 #[derive(Debug)]
-pub(crate) struct SingularFracture;
+pub(crate) struct SingularFracture(pub(crate) Vec<ContactState>);
 
 impl FractureProblem<'_> {
     fn local(&self, v: &[f64], face: usize) -> Local {
@@ -180,7 +187,7 @@ impl FractureProblem<'_> {
         let d = self.dim;
         let mut lambda: Vec<f64> = force.iter().map(|f| -f).collect();
         let mut states = Vec::with_capacity(self.faces.len());
-        let mut violation: f64 = 0.0;
+        let (mut violation, mut excess): (f64, f64) = (0.0, 0.0);
         for (i, face) in self.faces.iter().enumerate() {
             let jump = self.jump(data, &increment, i);
             let previous = self.local(data.previous, i);
@@ -190,9 +197,17 @@ impl FractureProblem<'_> {
             lambda[i * d] += data.partners[i].stiffness * face.aperture(&jump, &self.local(data.origin, i));
             let own = self.local(&lambda, i);
             states.push(face.state(&jump, &own, &previous));
-            violation = larger(violation, face.violation(&jump, &own, &previous));
+            let own = face.violation(&jump, &own, &previous);
+            violation = larger(violation, own);
+            excess = larger(excess, own - face.stiffness * self.round_off(data, i, &jump));
         }
-        Iterate { increment, force, lambda, states, violation }
+        Iterate { increment, force, lambda, states, violation, excess }
+    }
+
+    /// Round-off of a face's jump (m).
+    fn round_off(&self, data: &FractureData<'_>, i: usize, jump: &Local) -> f64 {
+        let face = &self.faces[i];
+        ROUND_OFF * (data.largest_force / (face.measure * face.stiffness) + max_abs(jump))
     }
 
     fn linearise(&self, data: &FractureData<'_>, at: &Iterate) -> Vec<Linearised> {
@@ -234,13 +249,19 @@ impl FractureProblem<'_> {
         while !converged && report.iterations < self.settings.max_iterations {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
-            let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report)?;
+            let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report);
+            let correction = correction.ok_or_else(|| SingularFracture(at.states.clone()))?;
             let next = self.corrected(data, &at, &correction);
             change = max_abs(&correction);
-            let size = (0..self.faces.len()).fold(0.0, |m, i| larger(m, max_abs(&self.jump(data, &next.increment, i))));
+            let (mut size, mut noise) = (0.0, 0.0);
+            for i in 0..self.faces.len() {
+                let jump = self.jump(data, &next.increment, i);
+                size = larger(size, max_abs(&jump));
+                noise = larger(noise, self.round_off(data, i, &jump));
+            }
             let traction = max_abs(&next.lambda);
             let tolerance = self.settings.tolerance;
-            converged = change <= tolerance * size && next.violation <= tolerance * traction;
+            converged = change <= larger(noise, tolerance * size) && next.excess <= tolerance * traction;
             let repeats = next.states == at.states;
             at = next;
             if !converged && !repeats && !seen.insert(at.states.clone()) {
@@ -268,7 +289,7 @@ impl FractureProblem<'_> {
         force: &[f64],
         workshop: &mut Workshop,
         report: &mut NewtonReport,
-    ) -> Result<Vec<f64>, SingularFracture> {
+    ) -> Option<Vec<f64>> {
         let d = self.dim;
         let mut correction = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
@@ -277,7 +298,7 @@ impl FractureProblem<'_> {
             }
         }
         if laws.iter().all(|law| law.given[..d].iter().all(Option::is_some)) {
-            return Ok(correction);
+            return Some(correction);
         }
         let mut force = force.to_vec();
         if correction.iter().any(|&c| c != 0.0) {
@@ -304,7 +325,7 @@ impl FractureProblem<'_> {
                     fresh = true;
                     let factor = Some(Arc::new(self.face_factor(laws.to_vec())));
                     *workshop = Workshop { factor, ..Workshop::default() };
-                    self.preconditioner(workshop, laws).ok_or(SingularFracture)?
+                    self.preconditioner(workshop, laws)?
                 }
             };
             let mut x = vec![0.0; b.len()];
@@ -317,10 +338,10 @@ impl FractureProblem<'_> {
             }
             if solved {
                 correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
-                return Ok(correction);
+                return Some(correction);
             }
             if fresh {
-                return Err(SingularFracture);
+                return None;
             }
         }
     }
@@ -341,6 +362,7 @@ impl FractureProblem<'_> {
             lambda: lambda.to_vec(),
             states: states.to_vec(),
             violation: 0.0,
+            excess: 0.0,
         };
         let mut laws = self.linearise(data, &at);
         for law in &mut laws {
@@ -359,7 +381,8 @@ impl FractureProblem<'_> {
                 let own = self.local(&total, i);
                 law.constant = std::array::from_fn(|c| (0..self.dim).map(|j| law.h[c][j] * own[j]).sum());
             }
-            let correction = self.solve_linear(&laws, &rest, &mut workshop, &mut NewtonReport::default())?;
+            let correction = self.solve_linear(&laws, &rest, &mut workshop, &mut NewtonReport::default());
+            let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
         }
         Ok(total)
@@ -498,6 +521,7 @@ impl FractureProblem<'_> {
         };
         let data = FractureData {
             rhs: &data.rhs[own.clone()],
+            largest_force: data.largest_force,
             previous: &data.previous[own.clone()],
             origin: &data.origin[own.clone()],
             partners: &data.partners[i..=i],
@@ -505,13 +529,13 @@ impl FractureProblem<'_> {
         };
         let mut at = one.iterate(&data, increment[own.clone()].to_vec(), force[own.clone()].to_vec());
         for _ in 0..LOCAL_ITERATIONS {
-            if at.violation <= self.settings.tolerance * max_abs(&at.lambda) {
+            if at.excess <= self.settings.tolerance * max_abs(&at.lambda) {
                 break;
             }
             let laws = one.linearise(&data, &at);
             match one.solve_linear(&laws, &at.force, &mut Workshop::default(), &mut NewtonReport::default()) {
-                Ok(correction) => at = one.corrected(&data, &at, &correction),
-                Err(SingularFracture) => break,
+                Some(correction) => at = one.corrected(&data, &at, &correction),
+                None => break,
             }
         }
         let (old, new) = (self.local(increment, i), one.local(&at.increment, 0));
