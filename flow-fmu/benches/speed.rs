@@ -15,7 +15,7 @@ use mesh::generate::{Triangles, cartesian, simplices};
 use mesh::{Mesh, MeshData, Vec3};
 
 /// Solves and factorisations are repeated, and the quickest counts.
-const REPEATS: usize = 5;
+const REPEATS: usize = 8;
 
 fn main() {
     println!("| mesh | cells | unknowns | entries of the factor | factor (MB) |");
