@@ -260,6 +260,9 @@ impl Mechanics {
     /// Arrays of the wrong length, values that are not finite, boundary functions that give such, a singular contact
     /// problem.
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
+        if !time.is_finite() {
+            return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
+        }
         self.check_partner(partner)?;
         self.follow(partner)?;
         let mut times = StepTimes::default();
@@ -617,9 +620,7 @@ impl Mechanics {
             guess: None,
         };
         let jump = state.jump(&self.system.space);
-        problem
-            .response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change)
-            .map_err(singular)
+        problem.response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change).map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.

@@ -126,7 +126,12 @@ pub fn plot<S: Clone + Into<Series>>(
                 }
             }
             let corner = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::UpperRight };
-            chart.configure_series_labels().position(corner).background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+            chart
+                .configure_series_labels()
+                .position(corner)
+                .background_style(WHITE.mix(0.8))
+                .border_style(BLACK)
+                .draw()?;
         }};
     }
     if log {

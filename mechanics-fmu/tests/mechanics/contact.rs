@@ -223,7 +223,10 @@ fn a_uniform_slip_dissipates_bound_times_slip() {
     }
     let mut mechanics = start(&mesh, model);
     let partner = Partner::uniform(&mesh, 0.0);
-    let (state, _) = { let rest = mechanics.rest(0.0); step(&mut mechanics, &rest, 1.0, &partner) };
+    let (state, _) = {
+        let rest = mechanics.rest(0.0);
+        step(&mut mechanics, &rest, 1.0, &partner)
+    };
     let (next, report) = step(&mut mechanics, &state, 2.0, &partner);
     assert_eq!(next.count(ContactState::Slip), 2);
     let mean = |v: &[f64], c: usize| 0.5 * (v[c] + v[2 + c]);

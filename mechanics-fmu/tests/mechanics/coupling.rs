@@ -5,8 +5,8 @@ use std::sync::Arc;
 use mechanics_fmu::{
     Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Mechanics, Neumann, Partner, PartnerResponse, State,
 };
-use mesh::generate::cartesian;
 use mesh::Vec3;
+use mesh::generate::cartesian;
 
 use crate::common::{coulomb, fractured, hold, largest, mesh, model, rock, start, step};
 
@@ -39,8 +39,11 @@ fn sheared(family: &str, law: &FractureLaw, upright: f64, bubbles: Bubbles) -> (
     });
     let (cells, faces) = (mesh.cell_count(), mesh.network().face_count());
     let around = |p: f64, n: usize, seed: f64| pattern(n, seed).iter().map(|v| p * (1.0 + 0.1 * v)).collect();
-    let partner =
-        Partner { matrix_pressure: around(1e6, cells, 0.3), fracture_pressure: around(2e6, faces, 0.7), response: None };
+    let partner = Partner {
+        matrix_pressure: around(1e6, cells, 0.3),
+        fracture_pressure: around(2e6, faces, 0.7),
+        response: None,
+    };
     (start(&mesh, model), partner)
 }
 
@@ -95,7 +98,11 @@ fn a_step_with_a_response_is_monolithic() {
             let at = format!("{family}, {name}");
             let off = |a: &[f64], b: &[f64]| largest(a.iter().zip(b).map(|(a, b)| a - b)) / largest(b.iter().copied());
             assert_eq!(together.contact, alone.contact, "{at}");
-            assert!(off(&together.unknowns, &alone.unknowns) < 1e-9, "{at}: {}", off(&together.unknowns, &alone.unknowns));
+            assert!(
+                off(&together.unknowns, &alone.unknowns) < 1e-9,
+                "{at}: {}",
+                off(&together.unknowns, &alone.unknowns)
+            );
             let traction = off(&together.multiplier, &alone.multiplier);
             assert!(traction < 1e-7, "{at}: λ differs by {traction}");
             let (a, b) = (report.energy, other.energy);
@@ -155,11 +162,8 @@ fn difference(
         partner.matrix_pressure.iter_mut().zip(&change[0]).for_each(|(p, c)| *p += sign * c);
         partner.fracture_pressure.iter_mut().zip(&change[1]).for_each(|(p, c)| *p += sign * c);
         let (state, _) = step(mechanics, before, time, &partner);
-        let values = [
-            mechanics.porosity_change(&state),
-            mechanics.aperture(&state),
-            state.jump(mechanics.space()).to_vec(),
-        ];
+        let values =
+            [mechanics.porosity_change(&state), mechanics.aperture(&state), state.jump(mechanics.space()).to_vec()];
         (values, state.contact)
     };
     let ((plus, states), (minus, others)) = (side(1.0), side(-1.0));

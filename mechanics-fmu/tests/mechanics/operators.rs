@@ -104,7 +104,10 @@ fn the_divergence_theorem_holds_with_bubbles() {
             let sign = if side == Side::Plus { 1.0 } else { -1.0 };
             outside += sign * mesh.geometry().face_vector[mesh.network().faces[i]].dot(bubble(k));
         }
-        assert!((inside - outside).abs() <= ROUND_OFF * terms, "{name}, cell {cell}: {inside} inside, {outside} outside");
+        assert!(
+            (inside - outside).abs() <= ROUND_OFF * terms,
+            "{name}, cell {cell}: {inside} inside, {outside} outside"
+        );
     });
 }
 

@@ -35,10 +35,17 @@ fn traction(dim: usize, n: Vec3) -> Vec3 {
 fn node_errors(mechanics: &Mechanics, state: &State, exact: impl Fn(Vec3) -> Vec3) -> f64 {
     let mesh = mechanics.mesh();
     let d = mesh.dim();
-    largest(mesh.nodes().vertices().iter().enumerate().flat_map(|(node, &v)| {
-        let u = exact(mesh.vertices()[v]);
-        (0..d).map(move |c| (node, c, u[c])).collect::<Vec<_>>()
-    }).map(|(node, c, u)| state.unknowns[node * d + c] - u))
+    largest(
+        mesh.nodes()
+            .vertices()
+            .iter()
+            .enumerate()
+            .flat_map(|(node, &v)| {
+                let u = exact(mesh.vertices()[v]);
+                (0..d).map(move |c| (node, c, u[c])).collect::<Vec<_>>()
+            })
+            .map(|(node, c, u)| state.unknowns[node * d + c] - u),
+    )
 }
 
 /// Linear displacement, uniform pressures in rock and fractures, Dirichlet data but for the top, which has a traction.

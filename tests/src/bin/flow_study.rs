@@ -533,7 +533,14 @@ fn consolidation(output: &Path) -> Outcome<()> {
         curve.push((dt, e));
     }
     table(output, "consolidation", &["time steps", "error at t = 0.2", "order", "volume error"], &rows)?;
-    plot(output, "consolidation-order", "Order in time", ["time step", "L2 error"], &[(String::from("error"), curve)], true)?;
+    plot(
+        output,
+        "consolidation-order",
+        "Order in time",
+        ["time step", "L2 error"],
+        &[(String::from("error"), curve)],
+        true,
+    )?;
     plot(output, "consolidation", "A draining column", ["x", "p"], &profiles, false)
 }
 

@@ -160,8 +160,21 @@ fn study_network_3d(output: &Path, meshes: usize) -> Outcome<()> {
         }
     }
     let head = [
-        "cells", "faces", "bubbles", "t (s)", "open", "stick", "slip", "t1 min (mm)", "t1 mean", "t1 max", "t2 min (mm)",
-        "t2 mean", "t2 max", "Newton", "seconds",
+        "cells",
+        "faces",
+        "bubbles",
+        "t (s)",
+        "open",
+        "stick",
+        "slip",
+        "t1 min (mm)",
+        "t1 mean",
+        "t1 max",
+        "t2 min (mm)",
+        "t2 mean",
+        "t2 max",
+        "Newton",
+        "seconds",
     ];
     table(output, "network-3d", &head, &rows)?;
     plot(output, "network-3d", "Network in 3D", ["t (s)", "mean tangential jump (mm)"], &slips, false)
