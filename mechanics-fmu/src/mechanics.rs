@@ -274,6 +274,9 @@ impl Mechanics {
     /// Arrays of the wrong length, values that are not finite, boundary functions that give such, a singular contact
     /// problem.
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
+        if !time.is_finite() {
+            return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
+        }
         self.check_partner(partner)?;
         self.follow(partner)?;
         let mut times = StepTimes::default();
