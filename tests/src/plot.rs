@@ -125,7 +125,7 @@ pub fn plot<S: Clone + Into<Series>>(
                     chart.draw_series(points.iter().map(|&p| Circle::new(p, 4, color.filled())))?;
                 }
             }
-            let corner = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::UpperRight };
+            let corner = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::LowerMiddle };
             chart
                 .configure_series_labels()
                 .position(corner)
@@ -145,11 +145,10 @@ pub fn plot<S: Clone + Into<Series>>(
 
 /// A number on an axis that goes up to `largest`.
 fn short(v: f64, largest: f64) -> String {
-    if v == 0.0 {
-        "0".into()
-    } else if (1e-2..1e4).contains(&largest) {
-        format!("{v:.3}")
-    } else {
-        format!("{v:.2e}")
+    if (1e-2..1e4).contains(&largest) {
+        let text = format!("{v:.4}");
+        let text = text.trim_end_matches('0').trim_end_matches('.');
+        return if text == "-0" { "0".into() } else { text.into() };
     }
+    if v == 0.0 { "0".into() } else { format!("{v:.2e}") }
 }
