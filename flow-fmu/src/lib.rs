@@ -38,10 +38,11 @@ mod model;
 mod report;
 mod scheme;
 mod space;
+pub mod unit;
 mod wells;
 
 pub use error::{FlowError, Problem};
-pub use flow::{Flow, Inputs, Perturbation, Response};
+pub use flow::{Flow, Inputs, Linearisation, Perturbation, Response};
 pub use local::Tensor;
 pub use model::{
     Boundary, Condition, Control, FlowModel, Fluid, Fracture, Function, Place, Rock, StiffnessCap, Well, WellIndex,

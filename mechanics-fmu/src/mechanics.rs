@@ -278,7 +278,8 @@ impl Mechanics {
             return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
         }
         self.check_partner(partner)?;
-        self.follow(partner)?;
+        let stiffness = partner.response.as_ref().map_or(&[][..], |r| &r.matrix_pressure_stiffness);
+        self.follow(stiffness)?;
         let mut times = StepTimes::default();
         let mut clock = Instant::now();
         let mut lap = |part: &mut Duration| {
@@ -381,12 +382,18 @@ impl Mechanics {
         Ok(())
     }
 
-    /// Factorises anew if the partner's matrix stiffness is not that of the present factorisation.
-    fn follow(&mut self, partner: &Partner) -> Result<(), MechanicsError> {
-        let wanted = match &partner.response {
-            Some(r) if r.matrix_pressure_stiffness.iter().any(|&s| s != 0.0) => &r.matrix_pressure_stiffness[..],
-            _ => &[],
-        };
+    /// Makes the factorisation that of a matrix stiffness of the partner (Pa, cells; empty for 0), as
+    /// [`response`](Self::response) and [`aperture_compliance`](Self::aperture_compliance) need it at a state that was
+    /// found with it, if other time steps have been made since.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Length`]; a singular system.
+    pub fn follow(&mut self, matrix_stiffness: &[f64]) -> Result<(), MechanicsError> {
+        let (found, expected) = (matrix_stiffness.len(), self.mesh.cell_count());
+        if found != 0 && found != expected {
+            return Err(MechanicsError::Length { field: "matrix pressure stiffness", found, expected });
+        }
+        let wanted = if matrix_stiffness.iter().any(|&s| s != 0.0) { matrix_stiffness } else { &[] };
         if self.stiffness_response != wanted {
             let extra: Vec<f64> = (0..self.mesh.cell_count())
                 .map(|k| wanted.get(k).map_or(0.0, |s| s * self.system.materials[k].biot.powi(2)))
@@ -395,6 +402,11 @@ impl Mechanics {
             self.system.refactorise(&self.mesh, &extra)?;
         }
         Ok(())
+    }
+
+    /// The matrix stiffness of the partner (Pa, cells) that the factorisation is made for; empty for 0.
+    pub fn matrix_stiffness(&self) -> &[f64] {
+        &self.stiffness_response
     }
 
     fn face_partners(&self, partner: &Partner) -> Vec<FacePartner> {

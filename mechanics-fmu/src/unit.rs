@@ -7,7 +7,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use coupling::{CONTACT_STATE, Role, Sizes, Table};
+use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table};
 use fmi_unit::{
     Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log, Reference, StepOutcome,
     Type, Unit, UnitError, Values, ValuesMut, Variable,
@@ -44,18 +44,27 @@ struct Initial {
 pub struct Now {
     state: State,
     inputs: Inputs,
+    last: Arc<Last>,
 }
 
-/// What the host has set, and the counters of the last step.
+/// What the host has set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Inputs {
     partner: Partner,
     response: PartnerResponse,
     compliance_factor: f64,
     compliance_floor: f64,
+}
+
+/// What is remembered of the last time step.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Last {
     newton_iterations: i64,
     /// Terms of the energy balance (J): elastic, external, pressure, friction.
     energies: [f64; 4],
+    /// The partner's matrix stiffness (Pa) by which the state was found, which its linearised responses need; empty if
+    /// it was 0.
+    matrix_stiffness: Vec<f64>,
 }
 
 /// State in its serialised form.
@@ -63,6 +72,7 @@ struct Inputs {
 struct Saved {
     state: SavedState,
     inputs: Inputs,
+    last: Last,
 }
 
 fn write(values: ValuesMut<'_>, source: &[f64]) -> Result<(), UnitError> {
@@ -85,31 +95,30 @@ impl MechanicsUnit {
         let sizes = Sizes { cells: cells.len(), fracture_faces: faces.len(), dim: mesh.dim() };
         let mechanics = Mechanics::new(Arc::clone(&mesh), problem(document, &mesh)?)?;
         let time = &document.model.time;
+        let mut state = mechanics.rest(time.start.0);
+        mechanics.make_initial(&mut state);
+        let sensitivity = &document.model.coupling.sensitivity;
         let inputs = Inputs {
             partner: pressure.clone(),
             response: PartnerResponse {
                 matrix_pressure_stiffness: vec![0.0; sizes.cells],
                 porosity_change: vec![0.0; sizes.cells],
                 fracture_pressure_stiffness: vec![0.0; sizes.fracture_faces],
-                aperture: vec![0.0; sizes.fracture_faces],
+                aperture: mechanics.aperture(&state),
             },
-            compliance_factor: 1.0,
-            compliance_floor: 0.0,
-            newton_iterations: 0,
-            energies: [0.0; 4],
+            compliance_factor: sensitivity.matrix_compliance_factor.0,
+            compliance_floor: sensitivity.fracture_compliance_floor_factor.0,
         };
-        let mut unit = Self {
-            table: Arc::new(table(sizes)),
+        Ok(Self {
+            table: Arc::new(table(sizes, &inputs)),
             fingerprint,
             title: document.model.title.clone(),
             times: [time.start.0, time.end.0, time.step.map_or(time.end.0 - time.start.0, |s| s.0)],
             initial: Initial { pressure, equilibrium: document.model.initial.equilibrium },
             log,
-            now: Now { state: mechanics.rest(time.start.0), inputs },
+            now: Now { state, inputs, last: Arc::default() },
             mechanics,
-        };
-        unit.mechanics.make_initial(&mut unit.now.state);
-        Ok(unit)
+        })
     }
 
     fn sizes(&self) -> Sizes {
@@ -152,7 +161,8 @@ impl MechanicsUnit {
             .sum()
     }
 
-    fn compliance(&self) -> Result<Vec<f64>, UnitError> {
+    fn compliance(&mut self) -> Result<Vec<f64>, UnitError> {
+        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
         let floor = self.now.inputs.compliance_floor;
         let probed = self.mechanics.aperture_compliance(&self.now.state)?;
         let scale = self.mechanics.aperture_compliance_scale();
@@ -171,60 +181,56 @@ impl MechanicsUnit {
 }
 
 /// The variables.
-fn table(sizes: Sizes) -> Table<MechanicsUnit> {
+fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
     let mut t = Table::<MechanicsUnit>::new(Role::Mechanics, sizes);
-    t.quantity(
+    t.input(
         "matrix.pressure",
+        &inputs.partner.matrix_pressure,
         |u, v| write(v, &u.now.inputs.partner.matrix_pressure),
-        Some(|u, v| v.read(&mut u.now.inputs.partner.matrix_pressure)),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.partner.matrix_pressure),
     );
-    t.quantity(
+    t.input(
         "fracture.pressure",
+        &inputs.partner.fracture_pressure,
         |u, v| write(v, &u.now.inputs.partner.fracture_pressure),
-        Some(|u, v| v.read(&mut u.now.inputs.partner.fracture_pressure)),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.partner.fracture_pressure),
     );
-    t.quantity(
+    t.input(
         "matrix.pressure_stiffness",
+        &inputs.response.matrix_pressure_stiffness,
         |u, v| write(v, &u.now.inputs.response.matrix_pressure_stiffness),
-        Some(|u, v| v.read(&mut u.now.inputs.response.matrix_pressure_stiffness)),
+        |u, v| Allowed::NotNegative.read(v, &mut u.now.inputs.response.matrix_pressure_stiffness),
     );
-    t.quantity(
+    t.input(
         "fracture.pressure_stiffness",
+        &inputs.response.fracture_pressure_stiffness,
         |u, v| write(v, &u.now.inputs.response.fracture_pressure_stiffness),
-        Some(|u, v| v.read(&mut u.now.inputs.response.fracture_pressure_stiffness)),
+        |u, v| Allowed::NotNegative.read(v, &mut u.now.inputs.response.fracture_pressure_stiffness),
     );
     t.reference_of(
         "matrix.porosity_change",
+        &inputs.response.porosity_change,
         |u, v| write(v, &u.now.inputs.response.porosity_change),
-        |u, v| v.read(&mut u.now.inputs.response.porosity_change),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.response.porosity_change),
     );
     t.reference_of(
         "fracture.aperture",
+        &inputs.response.aperture,
         |u, v| write(v, &u.now.inputs.response.aperture),
-        |u, v| v.read(&mut u.now.inputs.response.aperture),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.response.aperture),
     );
-    t.quantity("matrix.porosity_change", |u, v| write(v, &u.mechanics.porosity_change(&u.now.state)), None);
-    t.quantity("fracture.aperture", |u, v| write(v, &u.mechanics.aperture(&u.now.state)), None);
-    t.quantity(
-        "matrix.porosity_compliance",
-        |u, v| {
-            let factor = u.now.inputs.compliance_factor;
-            write(v, &u.mechanics.porosity_compliance().iter().map(|c| factor * c).collect::<Vec<_>>())
-        },
-        None,
-    );
-    t.quantity("fracture.aperture_compliance", |u, v| write(v, &u.compliance()?), None);
-    t.quantity("fracture.displacement_jump", |u, v| write(v, u.now.state.jump(u.mechanics.space())), None);
-    t.quantity(
-        "fracture.traction",
-        |u, v| write(v, &u.now.state.multiplier.iter().map(|l| -l).collect::<Vec<_>>()),
-        None,
-    );
-    t.quantity(
-        "fracture.contact_state",
-        |u, v| v.write(&u.now.state.contact.iter().map(|&s| s as i64).collect::<Vec<_>>()),
-        None,
-    );
+    t.output("matrix.porosity_change", |u, v| write(v, &u.mechanics.porosity_change(&u.now.state)));
+    t.output("fracture.aperture", |u, v| write(v, &u.mechanics.aperture(&u.now.state)));
+    t.output("matrix.porosity_compliance", |u, v| {
+        let factor = u.now.inputs.compliance_factor;
+        write(v, &u.mechanics.porosity_compliance().iter().map(|c| factor * c).collect::<Vec<_>>())
+    });
+    t.output("fracture.aperture_compliance", |u, v| write(v, &u.compliance()?));
+    t.output("fracture.displacement_jump", |u, v| write(v, u.now.state.jump(u.mechanics.space())));
+    t.output("fracture.traction", |u, v| write(v, &u.now.state.multiplier.iter().map(|l| -l).collect::<Vec<_>>()));
+    t.output("fracture.contact_state", |u, v| {
+        v.write(&u.now.state.contact.iter().map(|&s| s as i64).collect::<Vec<_>>())
+    });
     t.add(
         |r| {
             Variable::output(r, "mesh.fingerprint", Type::String)
@@ -258,6 +264,15 @@ fn table(sizes: Sizes) -> Table<MechanicsUnit> {
             None,
         );
         t.add(
+            float(
+                "moment_magnitude",
+                "1",
+                "2/3 (log10 of the seismic moment in N.m - 9.1); minus infinity without slip",
+            ),
+            |u, v| write(v, &[2.0 / 3.0 * (u.seismic_moment().log10() - 9.1)]),
+            None,
+        );
+        t.add(
             count("contact.open", "Number of open fracture faces"),
             |u, v| v.write(&[u.now.state.count(ContactState::Open) as i64]),
             None,
@@ -275,23 +290,23 @@ fn table(sizes: Sizes) -> Table<MechanicsUnit> {
     }
     t.add(
         count("newton.iterations", "Newton iterations of the last step"),
-        |u, v| v.write(&[u.now.inputs.newton_iterations]),
+        |u, v| v.write(&[u.now.last.newton_iterations]),
         None,
     );
-    t.add(float("energy.elastic", "J", "Elastic energy"), |u, v| write(v, &[u.now.inputs.energies[0]]), None);
+    t.add(float("energy.elastic", "J", "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
     t.add(
         float("energy.external_work", "J", "Work of loads and prescribed displacements in the last step"),
-        |u, v| write(v, &[u.now.inputs.energies[1]]),
+        |u, v| write(v, &[u.now.last.energies[1]]),
         None,
     );
     t.add(
         float("energy.pressure_work", "J", "Work of the pressures in the last step"),
-        |u, v| write(v, &[u.now.inputs.energies[2]]),
+        |u, v| write(v, &[u.now.last.energies[2]]),
         None,
     );
     t.add(
         float("energy.friction", "J", "Dissipation of friction in the last step"),
-        |u, v| write(v, &[u.now.inputs.energies[3]]),
+        |u, v| write(v, &[u.now.last.energies[3]]),
         None,
     );
     t.add(
@@ -299,12 +314,12 @@ fn table(sizes: Sizes) -> Table<MechanicsUnit> {
             Variable::parameter(r, "porosity_compliance.factor", Type::Float64)
                 .tunable()
                 .unit("1")
-                .start(1.0)
+                .start(inputs.compliance_factor)
                 .describe("Factor on b2/K_dr in matrix.porosity_compliance")
         },
         |u, v| write(v, &[u.now.inputs.compliance_factor]),
         Some(|u, v| {
-            u.now.inputs.compliance_factor = not_negative(v)?;
+            u.now.inputs.compliance_factor = Allowed::NotNegative.scalar(v)?;
             Ok(())
         }),
     );
@@ -314,24 +329,19 @@ fn table(sizes: Sizes) -> Table<MechanicsUnit> {
                 Variable::parameter(r, "aperture_compliance.floor", Type::Float64)
                     .tunable()
                     .unit("1")
-                    .start(0.0)
+                    .start(inputs.compliance_floor)
                     .describe(
                         "fracture.aperture_compliance is at least this times fracture length / plane-strain modulus",
                     )
             },
             |u, v| write(v, &[u.now.inputs.compliance_floor]),
             Some(|u, v| {
-                u.now.inputs.compliance_floor = not_negative(v)?;
+                u.now.inputs.compliance_floor = Allowed::NotNegative.scalar(v)?;
                 Ok(())
             }),
         );
     }
     t
-}
-
-fn not_negative(values: Values<'_>) -> Result<f64, UnitError> {
-    let value: f64 = values.scalar()?;
-    if value >= 0.0 && value.is_finite() { Ok(value) } else { Err(format!("{value} must be finite and ≥ 0").into()) }
 }
 
 impl Unit for MechanicsUnit {
@@ -368,11 +378,13 @@ impl Unit for MechanicsUnit {
     }
 
     fn get(&mut self, variable: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
-        self.table.get(variable)?(self, values)
+        let table = Arc::clone(&self.table);
+        table.get(self, variable, values)
     }
 
     fn set(&mut self, variable: Reference, values: Values<'_>) -> Result<(), UnitError> {
-        self.table.set(variable)?(self, values)
+        let table = Arc::clone(&self.table);
+        table.set(self, variable, values)
     }
 
     fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError> {
@@ -391,6 +403,7 @@ impl Unit for MechanicsUnit {
         }
         self.mechanics.make_initial(&mut state);
         self.now.state = state;
+        self.now.last = Arc::default();
         Ok(())
     }
 
@@ -399,9 +412,12 @@ impl Unit for MechanicsUnit {
         match self.mechanics.step(&self.now.state, time + step, &partner)? {
             Outcome::Converged(state, report) => {
                 self.now.state = state;
-                self.now.inputs.newton_iterations = report.newton.iterations as i64;
                 let e = report.energy;
-                self.now.inputs.energies = [e.elastic, e.external_work, e.pressure_work, e.friction];
+                self.now.last = Arc::new(Last {
+                    newton_iterations: report.newton.iterations as i64,
+                    energies: [e.elastic, e.external_work, e.pressure_work, e.friction],
+                    matrix_stiffness: self.mechanics.matrix_stiffness().to_vec(),
+                });
                 self.log.info("solver", format!("t = {} s: {:?}", time + step, report.newton));
                 Ok(StepOutcome::Completed)
             }
@@ -425,12 +441,13 @@ impl Unit for MechanicsUnit {
     }
 
     fn serialize(&self, state: &Now) -> Result<Vec<u8>, UnitError> {
-        let saved = Saved { state: state.state.to_saved(), inputs: state.inputs.clone() };
+        let saved =
+            Saved { state: state.state.to_saved(), inputs: state.inputs.clone(), last: Last::clone(&state.last) };
         Ok(postcard::to_stdvec(&saved)?)
     }
 
     fn deserialize(&self, bytes: &[u8]) -> Result<Now, UnitError> {
-        let Saved { state, inputs } = postcard::from_bytes(bytes)?;
+        let Saved { state, inputs, last } = postcard::from_bytes(bytes)?;
         let sizes = self.sizes();
         let fits = |values: &[f64], expected: usize| values.len() == expected;
         let r = &inputs.response;
@@ -439,11 +456,12 @@ impl Unit for MechanicsUnit {
             && fits(&r.matrix_pressure_stiffness, sizes.cells)
             && fits(&r.porosity_change, sizes.cells)
             && fits(&r.fracture_pressure_stiffness, sizes.fracture_faces)
-            && fits(&r.aperture, sizes.fracture_faces))
+            && fits(&r.aperture, sizes.fracture_faces)
+            && (last.matrix_stiffness.is_empty() || fits(&last.matrix_stiffness, sizes.cells)))
         {
             return Err("the state belongs to another mesh".into());
         }
-        Ok(Now { state: self.mechanics.load(state)?, inputs })
+        Ok(Now { state: self.mechanics.load(state)?, inputs, last: Arc::new(last) })
     }
 
     fn directional_derivative(
@@ -465,6 +483,7 @@ impl Unit for MechanicsUnit {
                 name => return Err(format!("no derivative with respect to {name}: only to the pressures").into()),
             }
         }
+        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
         let response = self.mechanics.response(&self.now.state, &matrix, &fracture)?;
         let mut rest = sensitivity;
         for &unknown in unknowns {

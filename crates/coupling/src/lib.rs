@@ -190,12 +190,20 @@ impl Sizes {
 pub type Get<U> = fn(&mut U, ValuesMut<'_>) -> Result<(), UnitError>;
 /// Takes values of a variable of a unit.
 pub type Set<U> = fn(&mut U, Values<'_>) -> Result<(), UnitError>;
+/// As [`Get`], of one of several alike.
+pub type GetNumbered<U> = fn(&mut U, usize, ValuesMut<'_>) -> Result<(), UnitError>;
+/// As [`Set`], of one of several alike.
+pub type SetNumbered<U> = fn(&mut U, usize, Values<'_>) -> Result<(), UnitError>;
 
 struct Row<U> {
     variable: Variable,
-    get: Get<U>,
-    set: Option<Set<U>>,
+    access: Access<U>,
     terminal: Option<&'static str>,
+}
+
+enum Access<U> {
+    Single(Get<U>, Option<Set<U>>),
+    Numbered(usize, GetNumbered<U>, Option<SetNumbered<U>>),
 }
 
 /// The variables of a unit, each with how its values are read and written. References count from 1.
@@ -213,51 +221,83 @@ impl<U> Table<U> {
 
     /// Adds a variable; `make` is given its reference.
     pub fn add(&mut self, make: impl FnOnce(Reference) -> Variable, get: Get<U>, set: Option<Set<U>>) {
+        self.push(make, Access::Single(get, set), None);
+    }
+
+    /// Adds a variable of the entity `number`, in a terminal if one is named.
+    pub fn add_numbered(
+        &mut self,
+        terminal: Option<&'static str>,
+        number: usize,
+        make: impl FnOnce(Reference) -> Variable,
+        get: GetNumbered<U>,
+        set: Option<SetNumbered<U>>,
+    ) {
+        self.push(make, Access::Numbered(number, get, set), terminal);
+    }
+
+    fn push(&mut self, make: impl FnOnce(Reference) -> Variable, access: Access<U>, terminal: Option<&'static str>) {
         let variable = make(self.rows.len() as Reference + 1);
-        self.rows.push(Row { variable, get, set, terminal: None });
+        self.rows.push(Row { variable, access, terminal });
     }
 
-    /// Adds a quantity of [`QUANTITIES`]: an output of its owner, an input of the partner. Arrays without entries are
-    /// left out, since the standard forbids them.
+    /// Adds a quantity of [`QUANTITIES`] as an output. Arrays without entries are left out, since the standard forbids
+    /// them.
     ///
     /// # Panics
     /// If there is no quantity of this name.
-    pub fn quantity(&mut self, name: &str, get: Get<U>, set: Option<Set<U>>) {
+    pub fn output(&mut self, name: &str, get: Get<U>) {
         let q = find(name);
-        self.array(q, q.name.to_owned(), q.meaning.to_owned(), get, set);
+        self.array(q, q.name.to_owned(), q.meaning.to_owned(), None, get, None);
     }
 
-    /// Adds the reference of a quantity, an input of its owner.
+    /// Adds a quantity of [`QUANTITIES`] as an input, with its values at the start.
     ///
     /// # Panics
     /// If there is no quantity of this name.
-    pub fn reference_of(&mut self, name: &str, get: Get<U>, set: Set<U>) {
+    pub fn input(&mut self, name: &str, start: &[f64], get: Get<U>, set: Set<U>) {
+        let q = find(name);
+        self.array(q, q.name.to_owned(), q.meaning.to_owned(), Some(start), get, Some(set));
+    }
+
+    /// Adds the reference of a quantity, an input of its owner, with its values at the start.
+    ///
+    /// # Panics
+    /// If there is no quantity of this name.
+    pub fn reference_of(&mut self, name: &str, start: &[f64], get: Get<U>, set: Set<U>) {
         let q = find(name);
         let meaning = format!("{} at which {} was last evaluated", q.meaning, self.role.partner().name());
-        self.array(q, format!("{name}_reference"), meaning, get, Some(set));
+        self.array(q, format!("{name}_reference"), meaning, Some(start), get, Some(set));
     }
 
-    fn array(&mut self, q: &'static Quantity, name: String, meaning: String, get: Get<U>, set: Option<Set<U>>) {
+    fn array(
+        &mut self,
+        q: &'static Quantity,
+        name: String,
+        meaning: String,
+        start: Option<&[f64]>,
+        get: Get<U>,
+        set: Option<Set<U>>,
+    ) {
         let dimensions = self.sizes.of(q.shape);
         if dimensions.contains(&0) {
             return;
         }
         let state = q.name == "fracture.contact_state";
         let ty = if state { Type::Int64 } else { Type::Float64 };
-        let is_input = set.is_some();
         let make = |reference| {
-            let variable = if is_input {
-                Variable::input(reference, &name, ty).start(0.0)
-            } else {
-                Variable::output(reference, &name, ty)
+            let variable = match start {
+                // One value stands for all.
+                Some([first, rest @ ..]) if rest.iter().all(|v| v == first) => {
+                    Variable::input(reference, &name, ty).start(*first)
+                }
+                Some(start) => Variable::input(reference, &name, ty).start(start.to_vec()),
+                None => Variable::output(reference, &name, ty),
             };
             let variable = if state { variable.enumeration(CONTACT_STATE) } else { variable.unit(q.unit) };
             variable.dimensions(&dimensions).describe(&meaning)
         };
-        self.add(make, get, set);
-        if let Some(row) = self.rows.last_mut() {
-            row.terminal = q.name.split('.').next();
-        }
+        self.push(make, Access::Single(get, set), q.name.split('.').next());
     }
 
     /// The variables.
@@ -265,9 +305,13 @@ impl<U> Table<U> {
         self.rows.iter().map(|row| row.variable.clone()).collect()
     }
 
-    /// The terminals `matrix` and `fracture`, with the arrays that belong to them.
+    /// The terminals `matrix`, `fracture` and `wells`, with what belongs to them.
     pub fn terminals(&self) -> Vec<Terminal> {
-        let about = [("matrix", "Fields in the rock, by cell"), ("fracture", "Fields on the fractures, by face")];
+        let about = [
+            ("matrix", "Fields in the rock, by cell"),
+            ("fracture", "Fields on the fractures, by face"),
+            ("wells", "What wells are to do, and what they do"),
+        ];
         let members = |name: &str| self.rows.iter().filter(|row| row.terminal == Some(name)).collect::<Vec<_>>();
         (about.iter())
             .filter(|(name, _)| !members(name).is_empty())
@@ -290,26 +334,92 @@ impl<U> Table<U> {
         self.row(reference).map_or(0, |row| row.variable.size())
     }
 
-    /// How a variable is read.
+    /// Reads a variable.
     ///
     /// # Errors
-    /// There is no such variable.
-    pub fn get(&self, reference: Reference) -> Result<Get<U>, UnitError> {
-        self.row(reference).map(|row| row.get).ok_or_else(|| format!("there is no variable {reference}").into())
+    /// There is no such variable; what the unit says.
+    pub fn get(&self, unit: &mut U, reference: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
+        match self.known(reference)?.access {
+            Access::Single(get, _) => get(unit, values),
+            Access::Numbered(number, get, _) => get(unit, number, values),
+        }
     }
 
-    /// How a variable is written.
+    /// Writes a variable.
     ///
     /// # Errors
-    /// There is no such variable, or it takes no values.
-    pub fn set(&self, reference: Reference) -> Result<Set<U>, UnitError> {
-        let row = self.row(reference).ok_or_else(|| format!("there is no variable {reference}"))?;
-        row.set.ok_or_else(|| format!("{} takes no values", row.variable.name()).into())
+    /// There is no such variable, or it takes no values, or not these: with its name.
+    pub fn set(&self, unit: &mut U, reference: Reference, values: Values<'_>) -> Result<(), UnitError> {
+        let row = self.known(reference)?;
+        let result = match row.access {
+            Access::Single(_, Some(set)) => set(unit, values),
+            Access::Numbered(number, _, Some(set)) => set(unit, number, values),
+            _ => Err("it takes no values".into()),
+        };
+        result.map_err(|error| format!("{}: {error}", row.variable.name()).into())
+    }
+
+    fn known(&self, reference: Reference) -> Result<&Row<U>, UnitError> {
+        self.row(reference).ok_or_else(|| format!("there is no variable {reference}").into())
     }
 
     fn row(&self, reference: Reference) -> Option<&Row<U>> {
         self.rows.get((reference as usize).checked_sub(1)?)
     }
+}
+
+/// What the numbers of a variable must be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Allowed {
+    /// Finite.
+    Finite,
+    /// Finite and at least 0.
+    NotNegative,
+    /// Finite and above 0.
+    Positive,
+}
+
+impl Allowed {
+    fn problem(self, value: f64) -> Option<&'static str> {
+        match self {
+            _ if !value.is_finite() => Some("finite"),
+            Self::NotNegative if value < 0.0 => Some("at least 0"),
+            Self::Positive if value <= 0.0 => Some("above 0"),
+            _ => None,
+        }
+    }
+
+    /// Copies an array into `target`, or leaves `target` as it is.
+    ///
+    /// # Errors
+    /// The first number that is not allowed; a wrong type or size.
+    pub fn read(self, values: Values<'_>, target: &mut [f64]) -> Result<(), UnitError> {
+        for (i, &value) in values.slice::<f64>()?.iter().enumerate() {
+            if let Some(must) = self.problem(value) {
+                return Err(format!("entry {i} is {value}; it must be {must}").into());
+            }
+        }
+        values.read(target)
+    }
+
+    /// The value of a scalar.
+    ///
+    /// # Errors
+    /// It is not allowed; a wrong type or size.
+    pub fn scalar(self, values: Values<'_>) -> Result<f64, UnitError> {
+        let value = values.scalar()?;
+        match self.problem(value) {
+            Some(must) => Err(format!("{value} must be {must}").into()),
+            None => Ok(value),
+        }
+    }
+}
+
+/// A name from a model or mesh as part of a variable's name: letters, digits and underscores, no digit first.
+pub fn identifier(name: &str) -> String {
+    let digit = name.starts_with(|c: char| c.is_ascii_digit());
+    let plain = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
+    (if digit || name.is_empty() { "_" } else { "" }).chars().chain(plain).collect()
 }
 
 fn find(name: &str) -> &'static Quantity {
@@ -381,12 +491,44 @@ mod tests {
     #[test]
     fn an_array_without_entries_is_left_out() {
         let mut table = Table::<()>::new(Role::Flow, Sizes { fracture_faces: 0, ..SIZES });
-        table.quantity("matrix.pressure", |(), _| Ok(()), None);
-        table.quantity("fracture.pressure", |(), _| Ok(()), None);
+        table.output("matrix.pressure", |(), _| Ok(()));
+        table.output("fracture.pressure", |(), _| Ok(()));
         assert_eq!(table.variables().len(), 1);
         assert_eq!(table.size(1), 5);
-        assert!(table.get(2).is_err());
-        assert!(table.set(1).is_err());
+        assert!(table.get(&mut (), 1, ValuesMut::Float64(&mut [])).is_ok());
+        assert!(table.get(&mut (), 2, ValuesMut::Float64(&mut [])).is_err());
+        assert!(table.set(&mut (), 1, Values::Float64(&[])).is_err());
+    }
+
+    #[test]
+    fn numbers_that_are_not_allowed_leave_the_old_ones() {
+        let read = |allowed: Allowed, value: f64| {
+            let mut target = [1.0, 2.0];
+            let result = allowed.read(Values::Float64(&[3.0, value]), &mut target);
+            assert_eq!(target, if result.is_ok() { [3.0, value] } else { [1.0, 2.0] });
+            result.map_err(|e| e.to_string())
+        };
+        assert_eq!(read(Allowed::Finite, -1.0), Ok(()));
+        assert_eq!(read(Allowed::Finite, f64::NAN), Err("entry 1 is NaN; it must be finite".into()));
+        assert_eq!(read(Allowed::Positive, f64::INFINITY), Err("entry 1 is inf; it must be finite".into()));
+        assert_eq!(read(Allowed::NotNegative, 0.0), Ok(()));
+        assert_eq!(read(Allowed::NotNegative, -1.0), Err("entry 1 is -1; it must be at least 0".into()));
+        assert_eq!(read(Allowed::Positive, 0.0), Err("entry 1 is 0; it must be above 0".into()));
+        assert!(Allowed::Finite.scalar(Values::Float64(&[f64::NAN])).is_err());
+    }
+
+    #[test]
+    fn names_become_identifiers() {
+        assert_eq!(["left", "inj-1", "7", "a b.c", ""].map(identifier), ["left", "inj_1", "_7", "a_b_c", "_"]);
+    }
+
+    #[test]
+    fn one_start_value_stands_for_equal_ones() {
+        let mut table = Table::<()>::new(Role::Flow, SIZES);
+        table.input("fracture.aperture", &[1.0, 1.0], |(), _| Ok(()), |(), _| Ok(()));
+        table.input("fracture.aperture", &[1.0, 2.0], |(), _| Ok(()), |(), _| Ok(()));
+        let starts = table.variables().iter().map(|v| format!("{v:?}").matches(".0").count()).collect::<Vec<_>>();
+        assert_eq!(starts, [1, 2]);
     }
 
     #[test]
