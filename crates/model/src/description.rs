@@ -571,7 +571,7 @@ pub enum Extrapolation {
 }
 
 /// A field has converged when norm(residual) ≤ tolerance × max(range, floor), where the range is the difference of the
-/// largest and smallest values that the field has had.
+/// largest and smallest values that the field has had at the times up to now.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Criterion {
