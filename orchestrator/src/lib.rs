@@ -17,11 +17,12 @@
 //! - the acceleration ([`model::Acceleration`]) and the extrapolation in time;
 //! - the time steps.
 //!
-//! [`Run`] is the loop, [`StepRecord`] what it did, [`Failure`] why it stopped, [`Checkpoint`] how it goes on.
+//! [`fmi`] makes units of FMUs. [`Run`] is the loop, [`StepRecord`] what it did, [`Failure`] why it stopped, [`Checkpoint`] how it goes on.
 
 mod acceleration;
 mod checkpoint;
 mod error;
+pub mod fmi;
 mod interface;
 mod record;
 mod run;

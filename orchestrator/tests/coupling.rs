@@ -337,7 +337,7 @@ fn splits_are_an_order_and_what_is_connected() {
         let mut run =
             Run::new([Box::new(flow), Box::new(mechanics)], Interface::poroelastic(), settings(split, 1)).unwrap();
         run.advance().unwrap();
-        let log = log.borrow();
+        let log = log.lock().unwrap();
         assert_eq!(log.iter().find(|l| l.ends_with("step")).unwrap(), &format!("{first} step"));
         let sensitivities: Vec<_> =
             log.iter().filter(|l| l.contains("compliance") || l.contains("stiffness")).collect();

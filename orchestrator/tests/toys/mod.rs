@@ -3,7 +3,8 @@
 //! Flow: (φ − φ_n) + (p − p_n)/M + δt k (p − p_ext) = 0. Mechanics: K ε + L ε³ = σ(t) + b p, φ = b ε.
 //! Partners are affine functions around the last exchange (project's `coupling.md`, section 1).
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
 use orchestrator::{StepOutcome, Unit, UnitError};
 use serde::{Deserialize, Serialize};
@@ -36,7 +37,7 @@ pub(crate) fn load(t: f64) -> f64 {
 
 #[derive(Clone, Default, PartialEq, Serialize, Deserialize)]
 struct State {
-    values: HashMap<String, Vec<f64>>,
+    values: BTreeMap<String, Vec<f64>>,
     /// φ at the last time level (flow).
     porosity: Vec<f64>,
 }
@@ -55,13 +56,13 @@ pub(crate) struct Toy {
     state: State,
     kept: Option<State>,
     newton: u64,
-    pub(crate) log: std::rc::Rc<std::cell::RefCell<Vec<String>>>,
+    pub(crate) log: Arc<Mutex<Vec<String>>>,
 }
 
 impl Toy {
     pub(crate) fn new(is_flow: bool, columns: &[Column]) -> Self {
         let n = columns.len();
-        let mut values = HashMap::new();
+        let mut values = BTreeMap::new();
         let cells = [
             "matrix.pressure",
             "matrix.porosity_change",
@@ -158,7 +159,7 @@ impl Unit for Toy {
         if own.len() != values.len() {
             return Err(UnitError::Length { variable: variable.into(), found: values.len(), expected: own.len() });
         }
-        self.log.borrow_mut().push(format!("{} set {variable}", self.name()));
+        self.log.lock().unwrap().push(format!("{} set {variable}", self.name()));
         self.state.values.insert(variable.to_owned(), values.to_vec());
         Ok(())
     }
@@ -174,7 +175,7 @@ impl Unit for Toy {
     }
 
     fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError> {
-        self.log.borrow_mut().push(format!("{} step", self.name()));
+        self.log.lock().unwrap().push(format!("{} step", self.name()));
         if step > self.rejects_above && time + step > self.rejects_after {
             return Ok(StepOutcome::Discarded { reason: format!("{step} s is too long") });
         }
@@ -197,7 +198,7 @@ impl Unit for Toy {
 
     fn restore(&mut self) -> Result<(), UnitError> {
         let kept = self.kept.clone().ok_or(UnitError::Unsupported { what: "going back to no state" })?;
-        self.log.borrow_mut().push(format!("{} restore", self.name()));
+        self.log.lock().unwrap().push(format!("{} restore", self.name()));
         self.state = kept;
         Ok(())
     }
