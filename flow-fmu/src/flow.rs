@@ -112,9 +112,9 @@ pub struct Flow {
     work: Work,
 }
 
-/// A correction is repeated while a residual exceeds this part of the largest flux, at most [`CORRECTIONS`] times:
-/// Cholesky leaves some 1e-15 in all but very stiff systems.
-const RESIDUAL: f64 = 1e-12;
+/// A correction is repeated while a residual exceeds this many units of round-off of the largest term in the equations,
+/// at most [`CORRECTIONS`] times: one is enough in all but very stiff systems.
+const RESIDUAL: f64 = 100.0;
 const CORRECTIONS: usize = 3;
 
 impl Flow {
@@ -653,8 +653,8 @@ impl Flow {
             evaluation = self.scheme.evaluate(c, traces, inflow);
             self.scheme.gather(&evaluation.residual, &mut x);
             let largest = |values: &[f64]| values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-            let fluxes = largest(&evaluation.cell_flux).max(largest(&evaluation.edge_flux)).max(largest(inflow));
-            if largest(&x) <= RESIDUAL * fluxes {
+            let scale = evaluation.size.max(largest(inflow));
+            if largest(&x) <= RESIDUAL * f64::EPSILON * scale {
                 break;
             }
         }
@@ -686,7 +686,7 @@ impl Flow {
                 inputs.aperture[i] + inputs.aperture_compliance[i] * from_reference
             })
             .collect();
-        if let Some(i) = aperture.iter().position(|&d| !(d > 0.0)) {
+        if let Some(i) = aperture.iter().position(|&d| d.is_nan() || d <= 0.0) {
             return Err(FlowError::Closed { fracture_face: i, aperture: aperture[i] });
         }
         let fluxes = self.fluxes_of(&evaluation, inflow);
@@ -786,7 +786,7 @@ impl Flow {
     ) -> Balance {
         let (mesh, space) = (&self.scheme.mesh, &self.scheme.space);
         let network = mesh.network();
-        let mut balance = Balance::default();
+        let mut balance = Balance { round_off: f64::EPSILON * evaluation.size, ..Balance::default() };
         // Storage − sources, wells included.
         let mut whole = 0.0;
         for cell in 0..mesh.cell_count() {

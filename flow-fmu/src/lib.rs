@@ -27,7 +27,7 @@
 //! let mut flow = Flow::new(mesh, model)?;
 //! let inputs = flow.inputs();
 //! let report = flow.step(1e4, &inputs)?;
-//! assert!(report.inflow[1].matrix < 0.0);
+//! assert!(report.stored.matrix < 0.0);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

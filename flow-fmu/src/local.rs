@@ -17,7 +17,7 @@
 //! R_li = B_li / |σ_l|,   δ_l = (x_l − x_K)·n_l
 //! ```
 //!
-//! Deviation: where no point sees all facets, δ_l is bounded from below ([`LEAST_DISTANCE`]). T stays symmetric,
+//! Deviation: where no point sees all facets, δ_l is bounded from below ([`UNSEEN_DISTANCE`]). T stays symmetric,
 //! positive definite but for constants, and exact for affine ψ, for these rest on R alone: the scheme is then
 //! another member of the hybrid mimetic mixed family (Droniou, Eymard, Gallouët, Herbin, M3AS 20, 2010).
 
@@ -33,9 +33,13 @@ pub(crate) struct Facet {
     pub(crate) center: Vec3,
 }
 
-/// Least distance from a cell's point to the plane of a facet, as part of |K| / Σ_i |σ_i| (about the radius of the
-/// largest ball inside, over d). Cells that any of their points see whole stay far above it.
-pub(crate) const LEAST_DISTANCE: f64 = 1e-4;
+/// A point sees a facet if it lies behind its plane by this part of |K| / Σ_i |σ_i| (about the radius of the largest
+/// ball inside, over d). Closer to it the operator would stiffen without gain.
+const LEAST_DISTANCE: f64 = 1e-3;
+
+/// Where no point sees all facets, their distances count as at least this part of |K| / Σ_i |σ_i|: about what they are
+/// in round cells.
+const UNSEEN_DISTANCE: f64 = 0.5;
 
 /// (x_i − x)·n_i over the least distance, for the worst facet. At least 1 where `x` sees the cell whole.
 pub(crate) fn visibility(measure: f64, x: Vec3, facets: &[Facet]) -> f64 {
@@ -79,7 +83,8 @@ pub(crate) fn point(measure: f64, candidates: &[Vec3], facets: &[Facet]) -> (Vec
 pub(crate) fn transmissivity(measure: f64, x: Vec3, facets: &[Facet], tensor: Tensor, out: &mut [f64]) {
     let m = facets.len();
     let surface: f64 = facets.iter().map(|f| f.vector.length()).sum();
-    let least = LEAST_DISTANCE * measure / surface;
+    let sees = visibility(measure, x, facets) >= 1.0;
+    let least = if sees { 0.0 } else { UNSEEN_DISTANCE * measure / surface };
     let mut residual = vec![0.0; m];
     for i in 0..m {
         for j in 0..m {

@@ -143,7 +143,7 @@ impl Boundary {
 /// Where a well is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
-    /// In the cell that holds the point (the lowest, if several do).
+    /// In the cell that holds the point, see [`Mesh::locate`].
     Cell(Vec3),
     /// In the fracture face that holds the point.
     FractureFace(Vec3),

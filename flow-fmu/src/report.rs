@@ -48,8 +48,11 @@ pub struct Balance {
     pub edge: f64,
     /// Storage − sources − wells − inflow of the whole.
     pub total: f64,
-    /// Largest volume rate through a cell or fracture face: what the errors are to be compared with.
+    /// Largest volume rate through a cell or fracture face.
     pub throughput: f64,
+    /// What one unit of round-off in a pressure can make of a balance: the errors are some of these. It is far below
+    /// the throughput unless pressures are large and differ little.
+    pub round_off: f64,
 }
 
 /// The terms of the energy balance over one time step of δt, in J (2D: J/m; over 1 s in a steady state), the flow's

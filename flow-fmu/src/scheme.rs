@@ -61,6 +61,8 @@ pub(crate) struct Evaluation {
     pub(crate) exchange: Vec<[f64; 2]>,
     /// What flows into each trace and not out again.
     pub(crate) residual: Vec<f64>,
+    /// Largest product of a pressure with its coefficient in the equations: what round-off is relative to.
+    pub(crate) size: f64,
 }
 
 /// The operators that never change.
@@ -287,6 +289,10 @@ impl Scheme {
         for (&trace, flux) in space.cell_traces.items().iter().zip(&result.cell_flux) {
             result.residual[trace] += flux;
         }
+        for cell in 0..mesh.cell_count() {
+            let a: f64 = self.cell_row[space.cell_traces.range(cell)].iter().sum();
+            result.size = result.size.max((a + c.cell_diagonal[cell]) * result.matrix_pressure[cell].abs());
+        }
         for i in 0..network.face_count() {
             let own = space.fracture_trace(i);
             let p = traces[own];
@@ -295,6 +301,9 @@ impl Scheme {
             let weight = &self.fracture_weight[network.face_edges.range(i)];
             let t = &self.fracture_operator[self.fracture_start[i]..self.fracture_start[i + 1]];
             result.residual[own] += c.fracture_source[i] - c.fracture_diagonal[i] * p;
+            let a: f64 = self.fracture_row[network.face_edges.range(i)].iter().sum();
+            let coefficient = c.conductivity[i] * a + c.exchange[i] + c.fracture_diagonal[i];
+            result.size = result.size.max(coefficient * p.abs());
             for k in 0..m {
                 let drop = |l: usize| p - traces[space.edge_trace(edges[l])] + weight[l];
                 let flux = c.conductivity[i] * (0..m).map(|l| t[k * m + l] * drop(l)).sum::<f64>();

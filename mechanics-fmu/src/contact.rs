@@ -13,13 +13,15 @@
 //! Where the fracture has a normal stiffness k_n, ⟦u⟧_n = λ_n/k_n takes the place of ⟦u⟧_n = 0, also in b_n.
 //! All vectors are in the basis (n⁺, t₁, t₂) of the face.
 
+use serde::{Deserialize, Serialize};
+
 use crate::model::{FractureLaw, Friction};
 
 /// A vector in the basis of a fracture face; in 2D the last component is 0.
 pub(crate) type Local = [f64; 3];
 
 /// What a fracture face does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum ContactState {
     /// The sides do not touch: no traction.
@@ -37,6 +39,8 @@ pub(crate) struct Face {
     pub(crate) measure: f64,
     /// β (Pa/m).
     pub(crate) beta: f64,
+    /// Of the bulk against a jump of this face alone (Pa/m).
+    pub(crate) stiffness: f64,
     pub(crate) friction: Friction,
     /// tan ψ.
     pub(crate) dilation: f64,
@@ -47,7 +51,7 @@ pub(crate) struct Face {
 }
 
 /// How a face's pressure follows its aperture: p_f = p* − S_f (d_f − d*).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct FacePartner {
     /// p* + S_f d* (Pa).
     pub(crate) offset: f64,
@@ -55,26 +59,39 @@ pub(crate) struct FacePartner {
     pub(crate) stiffness: f64,
 }
 
-/// The linearised law of a face: jumps that are given, and for each other component i the equation
-/// Σ_j T_ij ((S g)_j − r_j) + Σ_j H_ij g_j + h_i = 0, where the sums run over the components of the face.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// The law of a face linearised at an increment δ of its jump: corrections of δ that are given, and for each other
+/// component i the equation Σ_j T_ij (force of the bulk on the face)_j + Σ_j H_ij (correction)_j + h_i = 0, where the sums
+/// run over the components of the face and the force is (S δ)_j − r_j after the correction.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Linearised {
-    /// The value of each component that is given; `None` for an unknown.
+    /// The correction of each component that is given; `None` for an unknown.
     pub(crate) given: [Option<f64>; 3],
     pub(crate) t: [Local; 3],
     pub(crate) h: [Local; 3],
-    pub(crate) h0: Local,
+    pub(crate) constant: Local,
 }
+
+/// A stiffness across the slip that is as good as rigid, as a multiple of that of the bulk. An infinite one, where a slip
+/// has only begun, would drown the stiffness along it in single precision.
+const RIGID: f64 = 1e4;
 
 fn norm(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 impl Face {
-    pub(crate) fn new(law: &FractureLaw, measure: f64, beta: f64, contact_aperture: f64) -> Self {
+    /// `stiffness` is that of the bulk against a jump of this face alone (Pa/m), β the part `beta_factor` of it.
+    pub(crate) fn new(
+        law: &FractureLaw,
+        measure: f64,
+        stiffness: f64,
+        beta_factor: f64,
+        contact_aperture: f64,
+    ) -> Self {
         Self {
             measure,
-            beta,
+            beta: beta_factor * stiffness,
+            stiffness,
             friction: law.friction,
             dilation: law.dilation_angle.tan(),
             compliance: law.normal_stiffness.map_or(0.0, |k| 1.0 / k),
@@ -149,8 +166,8 @@ impl Face {
 
     /// The law linearised at a jump and a multiplier, in a given state.
     ///
-    /// The multiplier is eliminated through |σ| λ = r − S g − |σ| c(g) n, where c(g) = −S_f d_f(g) is the part of the
-    /// fracture pressure that follows the aperture.
+    /// The multiplier is eliminated through |σ| λ = r − S δ − |σ| c n, where c = −S_f d_f is the part of the fracture
+    /// pressure that follows the aperture.
     pub(crate) fn linearise(
         &self,
         dim: usize,
@@ -163,57 +180,53 @@ impl Face {
     ) -> Linearised {
         let size = self.measure;
         let mut law = Linearised::default();
-        // |σ| c(g) ≈ c0 + dc·g
+        // |σ| c here, and its derivative.
+        let follows = -size * partner.stiffness * self.aperture(jump, origin);
         let slope = self.aperture_gradient(jump, origin).map(|g| -size * partner.stiffness * g);
-        let value = -size * partner.stiffness * self.aperture(jump, origin);
-        let offset = value - (0..3).map(|j| slope[j] * jump[j]).sum::<f64>();
         let normal_row = |law: &mut Linearised, stiffness: f64| {
             law.t[0][0] = 1.0;
             law.h[0] = slope;
             law.h[0][0] += stiffness;
-            law.h0[0] = offset;
+            law.constant[0] = follows + stiffness * jump[0];
         };
-        match state {
-            ContactState::Open => {
-                normal_row(&mut law, 0.0);
-                for c in 1..dim {
-                    law.t[c][c] = 1.0;
-                }
+        if state == ContactState::Open {
+            normal_row(&mut law, 0.0);
+            for c in 1..dim {
+                law.t[c][c] = 1.0;
             }
-            ContactState::Stick | ContactState::Slip => {
-                if self.compliance > 0.0 {
-                    normal_row(&mut law, size / self.compliance);
-                } else {
-                    law.given[0] = Some(0.0);
-                }
-                if state == ContactState::Stick {
-                    for c in 1..dim {
-                        law.given[c] = Some(previous[c]);
-                    }
-                } else {
-                    let b = self.augmented(jump, lambda, previous);
-                    let length = norm(&b[1..]);
-                    let e = if length > 0.0 { [b[1] / length, b[2] / length] } else { [0.0; 2] };
-                    // λ_τ = bound e + κ (1 − e eᵀ) δg_τ: the exact derivative of bound b_τ/|b_τ|, solved for λ_τ.
-                    let ratio = if length > 0.0 { self.bound(b[0]) / length } else { 0.0 };
-                    let kappa = self.beta * ratio / (1.0 - ratio);
-                    let f = self.coefficient();
-                    let fixed_bound = self.bound(0.0);
-                    for i in 1..dim {
-                        let ei = e[i - 1];
-                        law.t[i][i] = 1.0;
-                        law.t[i][0] = -f * ei;
-                        law.h0[i] = size * fixed_bound * ei - f * ei * offset;
-                        for j in 0..dim {
-                            law.h[i][j] = -f * ei * slope[j];
-                        }
-                        for j in 1..dim {
-                            let across = size * kappa * (f64::from(i == j) - ei * e[j - 1]);
-                            law.h[i][j] += across;
-                            law.h0[i] -= across * previous[j];
-                        }
-                    }
-                }
+            return law;
+        }
+        if self.compliance > 0.0 {
+            normal_row(&mut law, size / self.compliance);
+        } else {
+            law.given[0] = Some(-jump[0]);
+        }
+        if state == ContactState::Stick {
+            for c in 1..dim {
+                law.given[c] = Some(previous[c] - jump[c]);
+            }
+            return law;
+        }
+        // λ_τ = bound e + κ (1 − e eᵀ) δg_τ: the exact derivative of bound b_τ/|b_τ|, solved for λ_τ.
+        let b = self.augmented(jump, lambda, previous);
+        let length = norm(&b[1..]);
+        let (e, ratio) =
+            if length > 0.0 { ([b[1] / length, b[2] / length], self.bound(b[0]) / length) } else { ([0.0; 2], 0.0) };
+        let kappa = (self.beta * ratio / (1.0 - ratio)).min(RIGID * self.stiffness);
+        let f = self.coefficient();
+        let fixed_bound = self.bound(0.0);
+        for i in 1..dim {
+            let ei = e[i - 1];
+            law.t[i][i] = 1.0;
+            law.t[i][0] = -f * ei;
+            law.constant[i] = size * fixed_bound * ei - f * ei * follows;
+            for j in 0..dim {
+                law.h[i][j] = -f * ei * slope[j];
+            }
+            for j in 1..dim {
+                let across = size * kappa * (f64::from(i == j) - ei * e[j - 1]);
+                law.h[i][j] += across;
+                law.constant[i] += across * (jump[j] - previous[j]);
             }
         }
         law

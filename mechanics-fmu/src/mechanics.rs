@@ -1,20 +1,22 @@
 //! The mechanical problem in time: states, steps, and what they give.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use linear::{Forward, Scratch};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::contact::{ContactState, Face, FacePartner, Local};
+use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
-use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport};
+use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur, SingularFracture};
 use crate::space::Space;
-use crate::system::{System, boundary_nodes};
+use crate::system::{SetupReport, System, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Partner {
     /// Matrix pressure p_m* (Pa): cells.
     pub matrix_pressure: Vec<f64>,
@@ -25,7 +27,7 @@ pub struct Partner {
 }
 
 /// The part of [`Partner`] that makes pressures follow the deformation.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PartnerResponse {
     /// S ≥ 0 (Pa): cells.
     pub matrix_pressure_stiffness: Vec<f64>,
@@ -64,14 +66,37 @@ pub struct State {
     /// Jump at the initial state (m), from which the slip of dilation counts: fracture faces × d.
     pub initial_jump: Vec<f64>,
     pub(crate) factor: Option<Arc<FaceFactor>>,
-    pub(crate) history: Linearisation,
+    pub(crate) history: History,
 }
 
-/// What the linearised response at a state needs to know of the step that led to it.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Linearisation {
+/// A [`State`] in a form that can be written and read; made by [`State::to_saved`], taken by [`Mechanics::load`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedState {
+    time: f64,
+    unknowns: Vec<f64>,
+    multiplier: Vec<f64>,
+    contact: Vec<ContactState>,
+    initial_divergence: Vec<f64>,
+    initial_jump: Vec<f64>,
+    factor: Option<Vec<Linearised>>,
+    history: History,
+}
+
+/// What is remembered of the step that led to a state, for the linearised response and the first guess of the next.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct History {
     previous_jump: Vec<f64>,
+    time_step: f64,
     partners: Vec<FacePartner>,
+}
+
+impl History {
+    /// The increment of the jump if it goes on at the same rate.
+    fn extrapolate(&self, jump: &[f64], time_step: f64) -> Option<Vec<f64>> {
+        let factor = time_step / self.time_step;
+        let increment = jump.iter().zip(&self.previous_jump).map(|(g, p)| factor * (g - p));
+        (self.time_step > 0.0 && factor.is_finite()).then(|| increment.collect())
+    }
 }
 
 /// Terms of the energy balance of a step (J, per metre of thickness in 2D).
@@ -98,6 +123,23 @@ pub struct StepReport {
     pub change: f64,
     /// Terms of the energy balance.
     pub energy: Energy,
+    /// Wall time of its parts.
+    pub times: StepTimes,
+}
+
+/// Wall time of the parts of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepTimes {
+    /// Right-hand side.
+    pub loads: Duration,
+    /// Elimination of the bulk from the right-hand side: the first half of a triangular solve.
+    pub forward: Duration,
+    /// Newton's method on the fracture.
+    pub newton: Duration,
+    /// Displacements from the jumps: the second half of the triangular solve.
+    pub backward: Duration,
+    /// Energy terms.
+    pub energy: Duration,
 }
 
 /// The result of a step.
@@ -169,8 +211,8 @@ impl Mechanics {
         let faces = (apertures.iter().zip(&network.faces).enumerate())
             .map(|(i, (&(law, aperture), &face))| {
                 let measure = geometry.face_measure[face];
-                let local = (0..d).map(|c| system.schur[(i * d + c, i * d + c)]).sum::<f64>() / d as f64;
-                Face::new(law, measure, model.newton.beta_factor * local / measure, aperture)
+                let local = (0..d).map(|c| f64::from(system.schur[(i * d + c, i * d + c)])).sum::<f64>() / d as f64;
+                Face::new(law, measure, local / measure, model.newton.beta_factor, aperture)
             })
             .collect();
         Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), work: Work::default() })
@@ -196,9 +238,9 @@ impl Mechanics {
         self.system.factorisations
     }
 
-    /// Entries in the factor of the bulk.
-    pub fn factor_entries(&self) -> usize {
-        self.system.cholesky.memory().factor_entries
+    /// What the set-up took and made.
+    pub fn setup(&self) -> &SetupReport {
+        &self.system.setup
     }
 
     /// The body at rest: no displacement, no traction, all fractures in contact.
@@ -212,8 +254,9 @@ impl Mechanics {
             initial_divergence: vec![0.0; self.mesh.cell_count()],
             initial_jump: vec![0.0; jumps],
             factor: None,
-            history: Linearisation {
+            history: History {
                 previous_jump: vec![0.0; jumps],
+                time_step: 0.0,
                 partners: vec![FacePartner::default(); self.faces.len()],
             },
         }
@@ -233,7 +276,12 @@ impl Mechanics {
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
         self.check_partner(partner)?;
         self.follow(partner)?;
-        let d = self.mesh.dim();
+        let mut times = StepTimes::default();
+        let mut clock = Instant::now();
+        let mut lap = |part: &mut Duration| {
+            *part = clock.elapsed();
+            clock = Instant::now();
+        };
         let loads = self.loads(time)?;
         let mut rhs = loads.clone();
         self.add_pressures(partner, previous, &mut rhs)?;
@@ -246,25 +294,31 @@ impl Mechanics {
         let mut full = rhs.clone();
         self.system.fixed_rows.mul_transpose_add(-1.0, &fixed, &mut full)?;
         let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
+        lap(&mut times.loads);
         self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
+        lap(&mut times.forward);
 
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
-        let problem =
-            FractureProblem { dim: d, schur: &self.system.schur, faces: &self.faces, settings: self.model.newton };
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
+            largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
             previous: previous_jump,
             origin: &previous.initial_jump,
             partners: &partners,
+            guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        let solution = problem.solve(&data, previous.factor.clone()).map_err(|_| self.singular(&previous.contact))?;
+        let solution = problem.solve(&data, previous.factor.clone()).map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
             change: solution.change,
             energy: Energy::default(),
+            times,
         };
+        lap(&mut report.times.newton);
         if !solution.converged {
             return Ok(Outcome::NotConverged(report));
         }
@@ -273,6 +327,7 @@ impl Mechanics {
         for (&u, x) in self.system.free.iter().zip(x) {
             unknowns[u as usize] = x;
         }
+        lap(&mut report.times.backward);
         let state = State {
             time,
             unknowns,
@@ -281,15 +336,20 @@ impl Mechanics {
             initial_divergence: previous.initial_divergence.clone(),
             initial_jump: previous.initial_jump.clone(),
             factor: solution.factor,
-            history: Linearisation { previous_jump: previous_jump.to_vec(), partners },
+            history: History { previous_jump: previous_jump.to_vec(), time_step: time - previous.time, partners },
         };
         report.energy = self.energy(previous, &state, &loads, &rhs)?;
+        lap(&mut report.times.energy);
         Ok(Outcome::Converged(state, report))
     }
 
-    fn singular(&self, states: &[ContactState]) -> MechanicsError {
-        let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
-        MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
+    fn fracture_problem<'a>(&'a self, add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync)) -> FractureProblem<'a> {
+        FractureProblem {
+            dim: self.mesh.dim(),
+            schur: Schur { single: self.system.schur.as_ref(), add_product },
+            faces: &self.faces,
+            settings: self.model.newton,
+        }
     }
 
     fn check_partner(&self, partner: &Partner) -> Result<(), MechanicsError> {
@@ -470,6 +530,47 @@ impl Mechanics {
             .collect()
     }
 
+    /// Shear modulus μ (Pa) on the plus side of each fracture face.
+    pub fn fracture_rigidity(&self) -> Vec<f64> {
+        let plus = |&face: &usize| self.system.materials[self.mesh.face_cells(face).0].mu;
+        self.mesh.network().faces.iter().map(plus).collect()
+    }
+
+    /// The state that was saved; what follows it has the same bits.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Length`] if it is that of another mesh.
+    pub fn load(&self, saved: SavedState) -> Result<State, MechanicsError> {
+        let (d, faces) = (self.mesh.dim(), self.faces.len());
+        let s = &saved;
+        for (field, found, expected) in [
+            ("displacement", s.unknowns.len(), d * self.system.space.entity_count()),
+            ("multiplier", s.multiplier.len(), d * faces),
+            ("contact state", s.contact.len(), faces),
+            ("initial divergence", s.initial_divergence.len(), self.mesh.cell_count()),
+            ("initial jump", s.initial_jump.len(), d * faces),
+            ("previous jump", s.history.previous_jump.len(), d * faces),
+            ("partner of a fracture face", s.history.partners.len(), faces),
+            ("linearised law", s.factor.as_ref().map_or(faces, Vec::len), faces),
+        ] {
+            if found != expected {
+                return Err(MechanicsError::Length { field, found, expected });
+            }
+        }
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
+        Ok(State {
+            time: saved.time,
+            unknowns: saved.unknowns,
+            multiplier: saved.multiplier,
+            contact: saved.contact,
+            initial_divergence: saved.initial_divergence,
+            initial_jump: saved.initial_jump,
+            factor: saved.factor.map(|laws| Arc::new(problem.face_factor(laws))),
+            history: saved.history,
+        })
+    }
+
     /// b²/K_dr of each cell (1/Pa): how the porosity of a free body answers to pressure.
     pub fn porosity_compliance(&self) -> Vec<f64> {
         self.system.materials.iter().map(|m| m.biot.powi(2) / m.bulk_modulus).collect()
@@ -560,21 +661,18 @@ impl Mechanics {
 
     /// The change of the jump for a change of the condensed right-hand side.
     fn jump_response(&self, state: &State, change: &[f64]) -> Result<Vec<f64>, MechanicsError> {
-        let problem = FractureProblem {
-            dim: self.mesh.dim(),
-            schur: &self.system.schur,
-            faces: &self.faces,
-            settings: self.model.newton,
-        };
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: change,
+            largest_force: 0.0,
             previous: &state.history.previous_jump,
             origin: &state.initial_jump,
             partners: &state.history.partners,
+            guess: None,
         };
         let jump = state.jump(&self.system.space);
-        let laws = problem.linearise(&data, &state.contact, jump, &state.multiplier);
-        problem.response(&laws, &mut state.factor.clone(), change).map_err(|_| self.singular(&state.contact))
+        problem.response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change).map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
@@ -701,10 +799,29 @@ impl Mechanics {
     }
 }
 
+fn singular(SingularFracture(states): SingularFracture) -> MechanicsError {
+    let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
+    MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
+}
+
 impl State {
     /// Jump ⟦u⟧ (m) in the basis (n⁺, t₁[, t₂]) of each face: fracture faces × d.
     pub fn jump(&self, space: &Space) -> &[f64] {
         &self.unknowns[space.first_jump() * space.dim()..]
+    }
+
+    /// The state in a form that can be written.
+    pub fn to_saved(&self) -> SavedState {
+        SavedState {
+            time: self.time,
+            unknowns: self.unknowns.clone(),
+            multiplier: self.multiplier.clone(),
+            contact: self.contact.clone(),
+            initial_divergence: self.initial_divergence.clone(),
+            initial_jump: self.initial_jump.clone(),
+            factor: self.factor.as_ref().map(|factor| factor.laws().to_vec()),
+            history: self.history.clone(),
+        }
     }
 
     /// Number of faces in a contact state.

@@ -169,7 +169,8 @@ pub enum Bubbles {
 /// Settings of the semi-smooth Newton method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NewtonSettings {
-    /// β > 0 of the complementarity functions as a factor on E_max/h of each face; the iterates hardly depend on it.
+    /// β > 0 of the complementarity functions, as a part of the stiffness of the bulk against a jump of the face alone; the
+    /// iterates hardly depend on it.
     pub beta_factor: f64,
     /// Newton iterations before a time step is given up.
     pub max_iterations: usize,

@@ -1,81 +1,137 @@
 //! Semi-smooth Newton's method for the contact problem, condensed to the fracture.
 //!
-//! With all unknowns but the jumps g eliminated, the balance of forces on fracture face σ reads
+//! With all unknowns but the jumps eliminated, the balance of forces on fracture face σ reads
 //!
 //! ```text
-//! (S g)_σ + |σ| (λ_σ + c_σ(g) n) = r_σ
+//! (S δ)_σ + |σ| (λ_σ + c_σ n) = r_σ
 //! ```
 //!
-//! S is dense, symmetric positive definite and constant; its cost is that of the last block of the one factorisation.
-//! A Newton iteration decides the contact states from g and λ, linearises the laws (see [`crate::contact`]), and solves
-//! for the components of g that the states leave unknown, by GMRES with a dense LU factorisation as preconditioner that is
-//! kept as long as few iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
+//! for the increments δ of the jumps during the time step; r is what the bulk exerts if all fractures stick, and c is the
+//! part of the fracture pressure that follows the aperture. S is dense, symmetric positive definite and constant, and the
+//! last block of the one factorisation is its factor.
+//!
+//! A Newton iteration decides the contact states from δ and λ, linearises the laws (see [`crate::contact`]), and solves for
+//! the correction of δ by GMRES. The forces are computed in double precision, from the factor; the corrections with a copy
+//! of S in single precision, which is reading and storing half as much. The preconditioner is a dense LU factorisation
+//! at earlier states, bordered for the components that have become known or unknown since, and kept as long as few
+//! iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use faer::linalg::solvers::{PartialPivLu, Solve};
-use faer::{Mat, Par};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::lu::partial_pivoting::solve::{solve_in_place, solve_in_place_scratch};
+use faer::linalg::solvers::PartialPivLu;
+use faer::{Mat, MatMut, MatRef, Par};
+use rayon::prelude::*;
 
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::model::NewtonSettings;
 
-/// Accuracy of the linear solves, a part of the largest force on a face: well below Newton's tolerance, above round-off.
-const LINEAR_TOLERANCE: f64 = 1e-13;
-/// A residual up to this many times the estimate of round-off is as good as none.
-const ROUND_OFF_SLACK: f64 = 10.0;
+/// A linear solve reduces the residual by this much: Newton's method needs no more, and where a preconditioner is exact
+/// it does far better.
+const FORCING: f64 = 1e-3;
+/// Residuals below this part of the largest force on a face are round-off.
+const NEGLIGIBLE: f64 = 1e-15;
 /// Limit of GMRES.
-const KRYLOV: usize = 60;
+const KRYLOV: usize = 40;
 /// The preconditioner is renewed, not bordered, when more than one in this many components of the jump have become
 /// known or unknown: bordering k of n takes 2 k n² operations, renewing ⅔ n³.
 const BORDER: usize = 4;
-/// The preconditioner is renewed when a solve needed more iterations than this: about what renewing it costs.
-const RENEW_ABOVE: usize = 12;
+/// The preconditioner is renewed when a solve needed more iterations than this.
+const RENEW_ABOVE: usize = 8;
+/// What round-off leaves of a force, as part of the largest given force and of the forces that cancel in S δ. Where nothing
+/// presses on the fracture, tractions are nothing else.
+const ROUND_OFF: f64 = 1e-14;
 /// Gauss–Seidel sweeps after a cycle.
 const SWEEPS: usize = 5;
 
 /// The contact problem on all fracture faces.
 pub(crate) struct FractureProblem<'a> {
     pub(crate) dim: usize,
-    pub(crate) schur: &'a Mat<f64>,
+    pub(crate) schur: Schur<'a>,
     pub(crate) faces: &'a [Face],
     pub(crate) settings: NewtonSettings,
 }
 
-/// Where Newton's method starts, and the data of the time step.
+/// The Schur complement of the bulk on the jumps.
+#[derive(Clone, Copy)]
+pub(crate) struct Schur<'a> {
+    /// In single precision.
+    pub(crate) single: MatRef<'a, f32>,
+    /// y += S x in double precision.
+    pub(crate) add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
+}
+
+/// The data of a time step.
 pub(crate) struct FractureData<'a> {
     /// Condensed right-hand side (N): faces × d.
     pub(crate) rhs: &'a [f64],
+    /// Largest force given on an unknown of the body (N), which tells how large round-off is.
+    pub(crate) largest_force: f64,
     /// Jump at the previous time (m): faces × d.
     pub(crate) previous: &'a [f64],
     /// Slip is counted from here (m): faces × d.
     pub(crate) origin: &'a [f64],
     pub(crate) partners: &'a [FacePartner],
+    /// A first guess of the increment (m), taken if it is better than none.
+    pub(crate) guess: Option<Vec<f64>>,
+}
+
+/// Jumps, the forces that the bulk exerts on the faces, and what follows from both.
+#[derive(Clone)]
+struct Iterate {
+    /// δ (m): faces × d.
+    increment: Vec<f64>,
+    /// S δ − r (N): faces × d.
+    force: Vec<f64>,
+    /// λ (Pa): faces × d.
+    lambda: Vec<f64>,
+    states: Vec<ContactState>,
+    /// Largest violation of a contact law (Pa).
+    violation: f64,
+    /// The same beyond round-off.
+    excess: f64,
 }
 
 /// A dense LU factorisation of the linearised problem at some earlier states.
 pub(crate) struct FaceFactor {
     laws: Vec<Linearised>,
     unknowns: Vec<usize>,
-    lu: PartialPivLu<f64>,
+    lu: PartialPivLu<f32>,
 }
 
 /// A [`FaceFactor`] used for other laws. Exact where these differ only in which components are given: a component that
 /// has become known is held by a Lagrange multiplier, one that has become unknown is appended.
-struct Preconditioner<'a> {
-    factor: &'a FaceFactor,
+struct Preconditioner {
+    factor: Arc<FaceFactor>,
     /// Components that have become unknown.
     added: Vec<usize>,
     /// Places in `factor.unknowns` of those that have become known.
     removed: Vec<usize>,
     /// Rows of the added components over the factor's unknowns.
-    added_rows: Mat<f64>,
+    added_rows: Mat<f32>,
     /// Factor's inverse times the columns of the border.
-    columns: Mat<f64>,
-    corner: PartialPivLu<f64>,
+    columns: Mat<f32>,
+    corner: PartialPivLu<f32>,
+}
+
+impl FaceFactor {
+    /// The laws that were factorised, from which [`FractureProblem::face_factor`] makes the same factor.
+    pub(crate) fn laws(&self) -> &[Linearised] {
+        &self.laws
+    }
+}
+
+/// The factor that the next linear solve starts from, and the columns of borders that were needed with it: for each
+/// component, the factor's inverse times its column.
+#[derive(Default)]
+struct Workshop {
+    factor: Option<Arc<FaceFactor>>,
+    columns: HashMap<usize, Vec<f32>>,
 }
 
 impl std::fmt::Debug for FaceFactor {
@@ -109,8 +165,9 @@ pub(crate) struct FractureSolution {
     pub(crate) change: f64,
 }
 
-/// The linearised problem cannot be solved.
-pub(crate) struct SingularFracture;
+/// The linearised problem cannot be solved at these contact states.
+#[derive(Debug)]
+pub(crate) struct SingularFracture(pub(crate) Vec<ContactState>);
 
 impl FractureProblem<'_> {
     fn local(&self, v: &[f64], face: usize) -> Local {
@@ -119,57 +176,48 @@ impl FractureProblem<'_> {
         out
     }
 
-    /// y = S x.
-    fn apply_schur(&self, x: &[f64], y: &mut [f64]) {
-        let m = x.len();
-        // Below this the threads cost more than they bring.
-        let par = if m > 400 { faer::get_global_parallelism() } else { Par::Seq };
-        faer::linalg::matmul::matmul(
-            faer::MatMut::from_column_major_slice_mut(y, m, 1),
-            faer::Accum::Replace,
-            self.schur,
-            faer::MatRef::from_column_major_slice(x, m, 1),
-            1.0,
-            par,
-        );
+    fn jump(&self, data: &FractureData<'_>, increment: &[f64], face: usize) -> Local {
+        let (mut jump, step) = (self.local(data.previous, face), self.local(increment, face));
+        (0..3).for_each(|c| jump[c] += step[c]);
+        jump
     }
 
-    /// λ from the balance of forces at a jump.
-    fn multiplier(&self, data: &FractureData<'_>, jump: &[f64]) -> Vec<f64> {
-        let mut force = vec![0.0; jump.len()];
-        self.apply_schur(jump, &mut force);
-        for (f, r) in force.iter_mut().zip(data.rhs) {
-            *f = r - *f;
-        }
+    /// All that follows from increments and the forces that go with them.
+    fn iterate(&self, data: &FractureData<'_>, increment: Vec<f64>, force: Vec<f64>) -> Iterate {
+        let d = self.dim;
+        let mut lambda: Vec<f64> = force.iter().map(|f| -f).collect();
+        let mut states = Vec::with_capacity(self.faces.len());
+        let (mut violation, mut excess): (f64, f64) = (0.0, 0.0);
         for (i, face) in self.faces.iter().enumerate() {
-            for c in 0..self.dim {
-                force[i * self.dim + c] /= face.measure;
+            let jump = self.jump(data, &increment, i);
+            let previous = self.local(data.previous, i);
+            for c in 0..d {
+                lambda[i * d + c] /= face.measure;
             }
-            force[i * self.dim] += self.following_pressure(data, jump, i);
+            lambda[i * d] += data.partners[i].stiffness * face.aperture(&jump, &self.local(data.origin, i));
+            let own = self.local(&lambda, i);
+            states.push(face.state(&jump, &own, &previous));
+            let own = face.violation(&jump, &own, &previous);
+            violation = larger(violation, own);
+            excess = larger(excess, own - face.stiffness * self.round_off(data, i, &jump));
         }
-        force
+        Iterate { increment, force, lambda, states, violation, excess }
     }
 
-    /// −c_σ(g) = S_f d_f.
-    fn following_pressure(&self, data: &FractureData<'_>, jump: &[f64], i: usize) -> f64 {
-        let aperture = self.faces[i].aperture(&self.local(jump, i), &self.local(data.origin, i));
-        data.partners[i].stiffness * aperture
+    /// Round-off of a face's jump (m).
+    fn round_off(&self, data: &FractureData<'_>, i: usize, jump: &Local) -> f64 {
+        let face = &self.faces[i];
+        ROUND_OFF * (data.largest_force / (face.measure * face.stiffness) + max_abs(jump))
     }
 
-    pub(crate) fn linearise(
-        &self,
-        data: &FractureData<'_>,
-        states: &[ContactState],
-        jump: &[f64],
-        lambda: &[f64],
-    ) -> Vec<Linearised> {
+    fn linearise(&self, data: &FractureData<'_>, at: &Iterate) -> Vec<Linearised> {
         (0..self.faces.len())
             .map(|i| {
                 self.faces[i].linearise(
                     self.dim,
-                    states[i],
-                    &self.local(jump, i),
-                    &self.local(lambda, i),
+                    at.states[i],
+                    &self.jump(data, &at.increment, i),
+                    &self.local(&at.lambda, i),
                     &self.local(data.previous, i),
                     &data.partners[i],
                     &self.local(data.origin, i),
@@ -178,200 +226,226 @@ impl FractureProblem<'_> {
             .collect()
     }
 
-    fn states(&self, data: &FractureData<'_>, jump: &[f64], lambda: &[f64]) -> Vec<ContactState> {
-        (0..self.faces.len())
-            .map(|i| self.faces[i].state(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i)))
-            .collect()
-    }
-
-    fn violation(&self, data: &FractureData<'_>, jump: &[f64], lambda: &[f64]) -> f64 {
-        (0..self.faces.len())
-            .map(|i| {
-                self.faces[i].violation(&self.local(jump, i), &self.local(lambda, i), &self.local(data.previous, i))
-            })
-            .fold(0.0, f64::max)
-    }
-
-    /// Solves the contact problem of a time step, starting from the jump at the previous time: the first multiplier is
-    /// that of sticking everywhere.
+    /// Solves the contact problem of a time step, starting from stick everywhere.
     pub(crate) fn solve(
         &self,
         data: &FractureData<'_>,
-        mut factor: Option<Arc<FaceFactor>>,
+        factor: Option<Arc<FaceFactor>>,
     ) -> Result<FractureSolution, SingularFracture> {
         let mut report = NewtonReport::default();
-        let mut jump = data.previous.to_vec();
-        let mut lambda = self.multiplier(data, &jump);
-        let mut states = self.states(data, &jump, &lambda);
+        let mut workshop = Workshop { factor, ..Workshop::default() };
+        let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
+        (self.schur.add_product)(data.previous, &mut force);
+        let mut at = self.iterate(data, vec![0.0; data.rhs.len()], force);
+        if let Some(guess) = &data.guess {
+            let guessed = self.corrected(data, &at, guess);
+            if guessed.violation < at.violation {
+                at = guessed;
+            }
+        }
         let mut seen = HashSet::new();
-        let (mut violation, mut change) = (0.0, 0.0);
+        let mut change = 0.0;
         let mut converged = self.faces.is_empty();
         while !converged && report.iterations < self.settings.max_iterations {
             report.iterations += 1;
-            let laws = self.linearise(data, &states, &jump, &lambda);
-            let mut next = jump.clone();
-            self.solve_linear(&laws, data.rhs, true, &mut factor, &mut next, &mut report)?;
-            change = max_abs(jump.iter().zip(&next).map(|(a, b)| a - b));
-            jump = next;
-            lambda = self.multiplier(data, &jump);
-            let new_states = self.states(data, &jump, &lambda);
-            violation = self.violation(data, &jump, &lambda);
-            let repeats = new_states == states;
-            let traction = max_abs(lambda.iter().copied());
-            let size = max_abs(jump.iter().copied());
+            let laws = self.linearise(data, &at);
+            let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report);
+            let correction = correction.ok_or_else(|| SingularFracture(at.states.clone()))?;
+            let next = self.corrected(data, &at, &correction);
+            change = max_abs(&correction);
+            let (mut size, mut noise) = (0.0, 0.0);
+            for i in 0..self.faces.len() {
+                let jump = self.jump(data, &next.increment, i);
+                size = larger(size, max_abs(&jump));
+                noise = larger(noise, self.round_off(data, i, &jump));
+            }
+            let traction = max_abs(&next.lambda);
             let tolerance = self.settings.tolerance;
-            // A jump that stays is measured by what the tractions could still move: their violation.
-            converged = repeats && change <= tolerance * size && violation <= tolerance * traction
-                || violation <= f64::EPSILON * traction;
-            if !converged && !repeats && !seen.insert(new_states.clone()) {
+            converged = change <= larger(noise, tolerance * size) && next.excess <= tolerance * traction;
+            let repeats = next.states == at.states;
+            at = next;
+            if !converged && !repeats && !seen.insert(at.states.clone()) {
                 report.cycles += 1;
                 seen.clear();
-                self.sweep(data, &mut jump);
-                lambda = self.multiplier(data, &jump);
-                states = self.states(data, &jump, &lambda);
-            } else {
-                states = new_states;
+                at = self.sweep(data, at);
             }
         }
-        Ok(FractureSolution { jump, lambda, states, factor, report, converged, violation, change })
+        let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
+        let Iterate { lambda, states, violation, .. } = at;
+        Ok(FractureSolution { jump, lambda, states, factor: workshop.factor, report, converged, violation, change })
     }
 
-    /// Solves the linearised problem for the jump `x`, which holds a first guess. Without `affine` the homogeneous laws are
-    /// meant: given jumps and constants are zero.
+    fn corrected(&self, data: &FractureData<'_>, at: &Iterate, correction: &[f64]) -> Iterate {
+        let increment = at.increment.iter().zip(correction).map(|(x, c)| x + c).collect();
+        let mut force = at.force.clone();
+        (self.schur.add_product)(correction, &mut force);
+        self.iterate(data, increment, force)
+    }
+
+    /// The correction of the jumps that satisfies the linearised laws, where the bulk exerts `force` without it.
     fn solve_linear(
         &self,
         laws: &[Linearised],
-        rhs: &[f64],
-        affine: bool,
-        factor: &mut Option<Arc<FaceFactor>>,
-        x: &mut [f64],
+        force: &[f64],
+        workshop: &mut Workshop,
         report: &mut NewtonReport,
-    ) -> Result<(), SingularFracture> {
+    ) -> Option<Vec<f64>> {
         let d = self.dim;
-        let mut given = vec![0.0; x.len()];
+        let mut correction = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
             for c in 0..d {
-                if let Some(value) = law.given[c] {
-                    given[i * d + c] = if affine { value } else { 0.0 };
-                    x[i * d + c] = 0.0;
-                }
+                correction[i * d + c] = law.given[c].unwrap_or(0.0);
             }
         }
         if laws.iter().all(|law| law.given[..d].iter().all(Option::is_some)) {
-            x.copy_from_slice(&given);
-            return Ok(());
+            return Some(correction);
         }
-        // Right-hand side of the rows: T (r − S g_given) − H g_given − h0.
-        let mut b = vec![0.0; x.len()];
-        let mut force = vec![0.0; x.len()];
-        self.apply_schur(&given, &mut force);
+        let mut force = force.to_vec();
+        if correction.iter().any(|&c| c != 0.0) {
+            (self.schur.add_product)(&correction, &mut force);
+        }
+        let mut b = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
+            let (own, known) = (self.local(&force, i), self.local(&correction, i));
             for c in (0..d).filter(|&c| law.given[c].is_none()) {
-                let at = |j: usize| i * d + j;
-                let rows = (0..d).map(|j| law.t[c][j] * (rhs[at(j)] - force[at(j)]) - law.h[c][j] * given[at(j)]);
-                b[at(c)] = rows.sum::<f64>() - if affine { law.h0[c] } else { 0.0 };
+                b[i * d + c] =
+                    -law.constant[c] - (0..d).map(|j| law.t[c][j] * own[j] + law.h[c][j] * known[j]).sum::<f64>();
             }
         }
-        // The forces that balance to give b set the scale: b itself may vanish.
-        let scale = max_abs(rhs.iter().chain(&force).copied());
-        let target = LINEAR_TOLERANCE * scale;
+        let negligible = NEGLIGIBLE * max_abs(&force);
+        let size = b.iter().map(|b| b * b).sum::<f64>().sqrt();
+        let target = (FORCING * size).max(negligible);
         let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
         let mut fresh = false;
         loop {
-            let preconditioner = match factor.as_deref().and_then(|f| self.preconditioner(f, laws)) {
+            let preconditioner = match self.preconditioner(workshop, laws) {
                 Some(preconditioner) => preconditioner,
                 None => {
                     report.face_factorisations += 1;
                     fresh = true;
-                    let new = factor.insert(Arc::new(self.face_factor(laws.to_vec())));
-                    self.preconditioner(new, laws).ok_or(SingularFracture)?
+                    let factor = Some(Arc::new(self.face_factor(laws.to_vec())));
+                    *workshop = Workshop { factor, ..Workshop::default() };
+                    self.preconditioner(workshop, laws)?
                 }
             };
-            let apply = |v: &mut [f64]| preconditioner.apply(v);
-            let done = linear::gmres(&operator, &apply, &b, x, target, KRYLOV);
+            let mut x = vec![0.0; b.len()];
+            let done = linear::gmres(&operator, &|v: &mut [f64]| preconditioner.apply(v), &b, &mut x, target, KRYLOV);
             report.linear_iterations += done.iterations;
-            let round_off = self.round_off(x).max(target);
-            let solved = done.residual <= ROUND_OFF_SLACK * round_off;
+            // Single precision limits what a fresh factor reaches; Newton's method only needs a reduction.
+            let solved = done.residual <= target || fresh && done.residual <= 0.5 * size;
             if !fresh && (!solved || done.iterations > RENEW_ABOVE) {
-                *factor = None;
+                *workshop = Workshop::default();
             }
             if solved {
-                break;
+                correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
+                return Some(correction);
             }
             if fresh {
-                return Err(SingularFracture);
+                return None;
             }
         }
-        x.iter_mut().zip(&given).for_each(|(x, g)| *x += g);
-        Ok(())
     }
 
-    /// What round-off leaves of S x (N).
-    fn round_off(&self, x: &[f64]) -> f64 {
-        let stiffest = max_abs((0..x.len()).map(|i| self.schur[(i, i)]));
-        f64::EPSILON * (x.len() as f64).sqrt() * stiffest * max_abs(x.iter().copied())
-    }
-
-    /// The change of the jump for a change of the right-hand side (N), at fixed contact states.
+    /// The change of the jump for a change of the right-hand side (N) at a solution, at its contact states.
     pub(crate) fn response(
         &self,
-        laws: &[Linearised],
-        factor: &mut Option<Arc<FaceFactor>>,
+        data: &FractureData<'_>,
+        jump: &[f64],
+        lambda: &[f64],
+        states: &[ContactState],
+        factor: Option<Arc<FaceFactor>>,
         change: &[f64],
     ) -> Result<Vec<f64>, SingularFracture> {
-        let mut x = vec![0.0; change.len()];
-        self.solve_linear(laws, change, false, factor, &mut x, &mut NewtonReport::default())?;
-        Ok(x)
+        let at = Iterate {
+            increment: jump.iter().zip(data.previous).map(|(g, p)| g - p).collect(),
+            force: Vec::new(),
+            lambda: lambda.to_vec(),
+            states: states.to_vec(),
+            violation: 0.0,
+            excess: 0.0,
+        };
+        let mut laws = self.linearise(data, &at);
+        for law in &mut laws {
+            law.constant = [0.0; 3];
+            law.given = law.given.map(|value| value.map(|_| 0.0));
+        }
+        let force: Vec<f64> = change.iter().map(|f| -f).collect();
+        // Each solve gains at least a factor of `FORCING`; what an exact derivative needs is well below finite differences.
+        const REFINEMENTS: usize = 4;
+        let mut workshop = Workshop { factor, ..Workshop::default() };
+        let mut total = vec![0.0; change.len()];
+        for _ in 0..REFINEMENTS {
+            let mut rest = force.clone();
+            (self.schur.add_product)(&total, &mut rest);
+            for (i, law) in laws.iter_mut().enumerate() {
+                let own = self.local(&total, i);
+                law.constant = std::array::from_fn(|c| (0..self.dim).map(|j| law.h[c][j] * own[j]).sum());
+            }
+            let correction = self.solve_linear(&laws, &rest, &mut workshop, &mut NewtonReport::default());
+            let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
+            total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
+        }
+        Ok(total)
     }
 
     /// The rows of the linearised laws, T S v + H v, zero where the jump is given; v is zero there.
     fn apply_rows(&self, laws: &[Linearised], v: &[f64], out: &mut [f64]) {
         let d = self.dim;
-        self.apply_schur(v, out);
+        let x = Mat::from_fn(v.len(), 1, |i, _| v[i] as f32);
+        // By the rows of the symmetric matrix, so that the cores share the reading of it.
+        const ROWS: usize = 256;
+        let mut y = Mat::<f32>::zeros(v.len(), 1);
+        let chunks = y.col_as_slice_mut(0).par_chunks_mut(ROWS).enumerate();
+        chunks.for_each(|(k, y)| {
+            let rows = self.schur.single.subcols(k * ROWS, y.len()).transpose();
+            let y = MatMut::from_column_major_slice_mut(y, rows.nrows(), 1);
+            faer::linalg::matmul::matmul(y, faer::Accum::Replace, rows, &x, 1.0, Par::Seq);
+        });
         for (i, law) in laws.iter().enumerate() {
             let at = i * d;
-            let (sv, gv) = (self.local(out, i), self.local(v, i));
+            let own = self.local(v, i);
             for c in 0..d {
                 out[at + c] = match law.given[c] {
                     Some(_) => 0.0,
-                    None => (0..d).map(|j| law.t[c][j] * sv[j] + law.h[c][j] * gv[j]).sum(),
+                    None => (0..d).map(|j| law.t[c][j] * f64::from(y[(at + j, 0)]) + law.h[c][j] * own[j]).sum(),
                 };
             }
         }
     }
 
     /// The same rows as a matrix over some components; the rows of T reach the normal component and their own.
-    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f64> {
+    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f32> {
         let d = self.dim;
         let mut a = Mat::zeros(rows.len(), columns.len());
         for (q, &column) in columns.iter().enumerate() {
-            let s = self.schur.col(column);
+            let s = self.schur.single.col(column);
             for (p, &row) in rows.iter().enumerate() {
                 let (i, c) = (row / d, row % d);
                 let law = &laws[i];
-                let mut v = law.t[c][c] * s[row];
+                let mut v = law.t[c][c] * f64::from(s[row]);
                 if c > 0 && law.t[c][0] != 0.0 {
-                    v += law.t[c][0] * s[i * d];
+                    v += law.t[c][0] * f64::from(s[i * d]);
                 }
                 if column / d == i {
                     v += law.h[c][column % d];
                 }
-                a[(p, q)] = v;
+                a[(p, q)] = v as f32;
             }
         }
         a
     }
 
     /// The dense factorisation for given laws; the same laws give the same bits.
-    fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
         let unknowns = unknowns(&laws, self.dim);
         let lu = self.rows(&laws, &unknowns, &unknowns).partial_piv_lu();
         FaceFactor { laws, unknowns, lu }
     }
 
-    /// The use of a factor for given laws; `None` where renewing it is cheaper.
-    fn preconditioner<'a>(&self, factor: &'a FaceFactor, laws: &[Linearised]) -> Option<Preconditioner<'a>> {
+    /// The use of the present factor for given laws; `None` where there is none or renewing it is cheaper.
+    fn preconditioner(&self, workshop: &mut Workshop, laws: &[Linearised]) -> Option<Preconditioner> {
         let d = self.dim;
+        let factor = Arc::clone(workshop.factor.as_ref()?);
         let old = &factor.unknowns;
         let is_known = |laws: &[Linearised], at: usize| laws[at / d].given[at % d].is_some();
         let removed: Vec<usize> = (0..old.len()).filter(|&p| is_known(laws, old[p])).collect();
@@ -380,12 +454,19 @@ impl FractureProblem<'_> {
         if border * BORDER > old.len() {
             return None;
         }
-        let mut columns = Mat::zeros(old.len(), border);
-        columns.as_mut().subcols_mut(0, added.len()).copy_from(self.rows(&factor.laws, old, &added));
-        for (k, &p) in removed.iter().enumerate() {
-            columns[(p, added.len() + k)] = 1.0;
+        let components: Vec<usize> = added.iter().copied().chain(removed.iter().map(|&p| old[p])).collect();
+        let missing: Vec<usize> = (0..border).filter(|&k| !workshop.columns.contains_key(&components[k])).collect();
+        let new: Vec<usize> = missing.iter().filter(|&&k| k < added.len()).map(|&k| components[k]).collect();
+        let mut solved = Mat::zeros(old.len(), missing.len());
+        solved.as_mut().subcols_mut(0, new.len()).copy_from(self.rows(&factor.laws, old, &new));
+        for q in new.len()..missing.len() {
+            solved[(removed[missing[q] - added.len()], q)] = 1.0;
         }
-        factor.lu.solve_in_place(columns.as_mut());
+        solve_lu(&factor.lu, solved.as_mut());
+        for (q, &k) in missing.iter().enumerate() {
+            workshop.columns.insert(components[k], solved.col(q).iter().copied().collect());
+        }
+        let columns = Mat::from_fn(old.len(), border, |p, k| workshop.columns[&components[k]][p]);
         let added_rows = self.rows(laws, &added, old);
         let mut corner = Mat::zeros(border, border);
         corner.as_mut().submatrix_mut(0, 0, added.len(), added.len()).copy_from(self.rows(laws, &added, &added));
@@ -402,95 +483,98 @@ impl FractureProblem<'_> {
     }
 
     /// Nonlinear block Gauss–Seidel sweeps over the faces.
-    fn sweep(&self, data: &FractureData<'_>, jump: &mut [f64]) {
+    fn sweep(&self, data: &FractureData<'_>, from: Iterate) -> Iterate {
         let d = self.dim;
-        let mut force = vec![0.0; jump.len()];
-        self.apply_schur(jump, &mut force);
+        let Iterate { mut increment, mut force, .. } = from.clone();
         for _ in 0..SWEEPS {
             for i in 0..self.faces.len() {
-                let at = i * d;
-                let old = self.local(jump, i);
-                let new = self.solve_face(data, i, &old, &force);
+                let correction = self.solve_face(data, i, &increment, &force);
                 for c in 0..d {
-                    let change = new[c] - old[c];
-                    if change != 0.0 {
-                        jump[at + c] = new[c];
-                        for (f, s) in force.iter_mut().zip(self.schur.col(at + c).iter()) {
-                            *f += change * s;
-                        }
+                    if correction[c] != 0.0 {
+                        increment[i * d + c] += correction[c];
+                        let column = self.schur.single.col(i * d + c);
+                        force.iter_mut().zip(column.iter()).for_each(|(f, s)| *f += correction[c] * f64::from(*s));
                     }
                 }
             }
         }
+        let correction: Vec<f64> = increment.iter().zip(&from.increment).map(|(new, old)| new - old).collect();
+        self.corrected(data, &from, &correction)
     }
 
-    /// The jump of one face that satisfies its law, all others being given; `force` is S g.
-    fn solve_face(&self, data: &FractureData<'_>, i: usize, old: &Local, force: &[f64]) -> Local {
+    /// The correction of one face's jump that satisfies its law, all others being given.
+    fn solve_face(&self, data: &FractureData<'_>, i: usize, increment: &[f64], force: &[f64]) -> Local {
         // A handful of states and a smooth curve of slip directions: more than enough.
         const LOCAL_ITERATIONS: usize = 30;
-        let d = self.dim;
-        let at = i * d;
+        let own = i * self.dim..(i + 1) * self.dim;
+        let single = self.schur.single.submatrix(own.start, own.start, self.dim, self.dim);
+        let add_product = |x: &[f64], y: &mut [f64]| {
+            for (j, x) in x.iter().enumerate() {
+                y.iter_mut().enumerate().for_each(|(i, y)| *y += f64::from(single[(i, j)]) * x);
+            }
+        };
         let one = FractureProblem {
-            dim: d,
-            schur: &Mat::from_fn(d, d, |a, b| self.schur[(at + a, at + b)]),
+            dim: self.dim,
+            schur: Schur { single, add_product: &add_product },
             faces: &self.faces[i..=i],
             settings: self.settings,
         };
-        let mut rhs = [0.0; 3];
-        for a in 0..d {
-            let own: f64 = (0..d).map(|b| self.schur[(at + a, at + b)] * old[b]).sum();
-            rhs[a] = data.rhs[at + a] - force[at + a] + own;
-        }
         let data = FractureData {
-            rhs: &rhs[..d],
-            previous: &data.previous[at..at + d],
-            origin: &data.origin[at..at + d],
+            rhs: &data.rhs[own.clone()],
+            largest_force: data.largest_force,
+            previous: &data.previous[own.clone()],
+            origin: &data.origin[own.clone()],
             partners: &data.partners[i..=i],
+            guess: None,
         };
-        let mut jump = data.previous.to_vec();
+        let mut at = one.iterate(&data, increment[own.clone()].to_vec(), force[own.clone()].to_vec());
         for _ in 0..LOCAL_ITERATIONS {
-            let lambda = one.multiplier(&data, &jump);
-            let states = one.states(&data, &jump, &lambda);
-            if one.violation(&data, &jump, &lambda) <= 1e-13 * max_abs(lambda.iter().copied()) {
+            if at.excess <= self.settings.tolerance * max_abs(&at.lambda) {
                 break;
             }
-            let laws = one.linearise(&data, &states, &jump, &lambda);
-            let mut next = jump.clone();
-            let mut factor = None;
-            if one.solve_linear(&laws, data.rhs, true, &mut factor, &mut next, &mut NewtonReport::default()).is_err() {
-                break;
+            let laws = one.linearise(&data, &at);
+            match one.solve_linear(&laws, &at.force, &mut Workshop::default(), &mut NewtonReport::default()) {
+                Some(correction) => at = one.corrected(&data, &at, &correction),
+                None => break,
             }
-            jump = next;
         }
-        self.local(&jump, 0)
+        let (old, new) = (self.local(increment, i), one.local(&at.increment, 0));
+        std::array::from_fn(|c| new[c] - old[c])
     }
 }
 
-impl Preconditioner<'_> {
+impl Preconditioner {
     /// v ← M⁻¹ v, over all components; zero where the jump is given.
     fn apply(&self, v: &mut [f64]) {
         let old = &self.factor.unknowns;
-        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]]);
+        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]] as f32);
         // The row of a component that has become known is free to take the multiplier that holds it.
         self.removed.iter().for_each(|&p| x[(p, 0)] = 0.0);
-        self.factor.lu.solve_in_place(x.as_mut());
+        solve_lu(&self.factor.lu, x.as_mut());
         let n = self.added.len();
         if n + self.removed.len() > 0 {
             let reached = &self.added_rows * &x;
             let mut z = Mat::from_fn(n + self.removed.len(), 1, |k, _| {
-                if k < n { v[self.added[k]] - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
+                if k < n { v[self.added[k]] as f32 - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
             });
-            self.corner.solve_in_place(z.as_mut());
+            solve_lu(&self.corner, z.as_mut());
             x -= &self.columns * &z;
             for (k, &at) in self.added.iter().enumerate() {
-                v[at] = z[(k, 0)];
+                v[at] = f64::from(z[(k, 0)]);
             }
         }
         for (p, &at) in old.iter().enumerate() {
-            v[at] = x[(p, 0)];
+            v[at] = f64::from(x[(p, 0)]);
         }
         self.removed.iter().for_each(|&p| v[old[p]] = 0.0);
     }
+}
+
+/// x ← A⁻¹ x. One right-hand side is bound by reading the factor, and threads only slow that down.
+fn solve_lu(lu: &PartialPivLu<f32>, x: MatMut<'_, f32>) {
+    let par = if x.ncols() > 1 { faer::get_global_parallelism() } else { Par::Seq };
+    let mut memory = MemBuffer::new(solve_in_place_scratch::<usize, f32>(x.nrows(), x.ncols(), par));
+    solve_in_place(lu.L(), lu.U(), lu.P(), x, par, MemStack::new(&mut memory));
 }
 
 /// The components of the jump that laws leave unknown.
@@ -498,6 +582,11 @@ fn unknowns(laws: &[Linearised], d: usize) -> Vec<usize> {
     (0..laws.len() * d).filter(|&at| laws[at / d].given[at % d].is_none()).collect()
 }
 
-fn max_abs(v: impl Iterator<Item = f64>) -> f64 {
-    v.fold(0.0, |m, x| if x.abs() <= m { m } else { x.abs() })
+/// The larger of two numbers, or NaN.
+fn larger(a: f64, b: f64) -> f64 {
+    if b <= a { a } else { b }
+}
+
+fn max_abs(v: &[f64]) -> f64 {
+    v.iter().fold(0.0, |m, x| larger(m, x.abs()))
 }

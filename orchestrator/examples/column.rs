@@ -63,7 +63,7 @@ impl fmi_unit::Unit for ColumnUnit {
             };
             variable.dimensions(&[self.columns])
         });
-        let newton = (!self.is_flow).then(|| Variable::output(NEWTON, "newton_iterations", Type::UInt64));
+        let newton = (!self.is_flow).then(|| Variable::output(NEWTON, "newton.iterations", Type::UInt64));
         Description::new("Column", "column")
             .capabilities(Capabilities { state: true, serialize: true, ..Capabilities::default() })
             .variables(variables.chain(newton))

@@ -21,6 +21,20 @@ pub enum CouplingError {
         /// Name of the unit.
         unit: String,
     },
+    /// One unit has a field that the other lacks.
+    #[error("{unit} has no variable \"{field}\", but its partner has")]
+    Field {
+        /// Name of the unit that lacks it.
+        unit: String,
+        /// The field.
+        field: String,
+    },
+    /// The units are on different meshes.
+    #[error("the units are on different meshes: {} and {}", fingerprints[0], fingerprints[1])]
+    Mesh {
+        /// Fingerprint of each.
+        fingerprints: [String; 2],
+    },
     /// An output has changed its length.
     #[error("\"{field}\" has {found} entries, but had {expected}")]
     Length {

@@ -1,5 +1,7 @@
 //! What two units exchange, and the split: an order and a choice of sensitivities.
 
+use crate::error::CouplingError;
+use crate::unit::Unit;
 use model::{Criterion, FIELDS, Norm, Number, Split};
 
 /// A field that one unit gives and the other takes, under one name.
@@ -65,6 +67,32 @@ impl Interface {
             criterion: Criterion { tolerance: Number(1e-5), floor: Number(floor), norm: Norm::Largest },
         });
         Self { fields: fields.collect() }
+    }
+
+    /// Leaves out the fields that neither unit has, as those on fractures where there are none.
+    ///
+    /// # Errors
+    /// [`CouplingError::Field`] where one unit has a field and the other does not.
+    pub fn fitted(self, units: &[Box<dyn Unit>; 2]) -> Result<Self, CouplingError> {
+        let mut kept = Vec::new();
+        for field in &self.fields {
+            let has = [0, 1].map(|i| units[i].has(&field.name));
+            if has[0] != has[1] {
+                let unit = units[usize::from(has[0])].name().to_owned();
+                return Err(CouplingError::Field { unit, field: field.name.clone() });
+            }
+            kept.push(has[0]);
+        }
+        // Fields go with their partners: what is on fractures is there for both or neither.
+        let number = |old: usize| kept[..old].iter().filter(|&&k| k).count();
+        let mut fields: Vec<Field> = self.fields.into_iter().zip(&kept).filter(|f| *f.1).map(|f| f.0).collect();
+        for field in &mut fields {
+            field.sensitivity = field.sensitivity.take().filter(|s| kept[s.partner]);
+            if let Some(sensitivity) = &mut field.sensitivity {
+                sensitivity.partner = number(sensitivity.partner);
+            }
+        }
+        Ok(Self { fields })
     }
 
     /// Replaces the criteria of fields by name; names that there are not are left alone.

@@ -53,7 +53,10 @@ pub trait Unit {
     /// What to call it in messages.
     fn name(&self) -> &str;
 
-    /// Sets an input.
+    /// Whether there is a variable of this name.
+    fn has(&self, variable: &str) -> bool;
+
+    /// Sets an input or a parameter.
     ///
     /// # Errors
     /// [`UnitError`].

@@ -348,6 +348,21 @@ fn splits_are_an_order_and_what_is_connected() {
 }
 
 #[test]
+fn units_must_have_the_same_fields() {
+    let mut interface = Interface::poroelastic();
+    interface.fields[1].name = "fracture.temperature".into();
+    let columns = [Column::of_strength(0.5)];
+    let fitted = interface.clone().fitted(&units(&columns)).unwrap();
+    // The aperture has lost its partner; the others have new numbers.
+    let partners: Vec<_> = fitted.fields.iter().map(|f| f.sensitivity.as_ref().map(|s| s.partner)).collect();
+    assert_eq!(partners, [Some(1), Some(0), None]);
+    let mut flow = Toy::new(true, &columns);
+    flow.set_new("fracture.temperature");
+    let error = interface.fitted(&[Box::new(flow), Box::new(Toy::new(false, &columns))]).unwrap_err();
+    assert_eq!(error.to_string(), "toy mechanics has no variable \"fracture.temperature\", but its partner has");
+}
+
+#[test]
 fn wrong_use_is_an_error() {
     let columns = [Column::of_strength(0.5)];
     let mut interface = Interface::poroelastic();

@@ -33,17 +33,6 @@ fn packed(folder: &Path, side: &str) -> Fmu {
     Fmu::open(&path).unwrap()
 }
 
-/// Only what the columns have: no fractures.
-fn interface() -> Interface {
-    let mut interface = Interface::poroelastic();
-    let fields = std::mem::take(&mut interface.fields);
-    interface.fields = fields.into_iter().filter(|f| f.name.starts_with("matrix")).collect();
-    for (i, field) in interface.fields.iter_mut().enumerate() {
-        field.sensitivity.as_mut().unwrap().partner = 1 - i;
-    }
-    interface
-}
-
 fn settings() -> Settings {
     Settings {
         scheme: Split::FixedStress.into(),
@@ -66,6 +55,14 @@ fn units(fmus: &[Fmu; 2]) -> [Box<dyn Unit>; 2] {
     [make(0), make(1)]
 }
 
+/// Units without fractures leave out what is on them.
+fn interface(fmus: &[Fmu; 2]) -> Interface {
+    let interface = Interface::poroelastic().fitted(&units(fmus)).unwrap();
+    assert_eq!(interface.fields.len(), 2);
+    assert_eq!(interface.fields[1].sensitivity.as_ref().unwrap().partner, 0);
+    interface
+}
+
 fn bits(run: &Run) -> Vec<u64> {
     run.fields().iter().flatten().map(|v| v.to_bits()).collect()
 }
@@ -80,8 +77,8 @@ fn a_coupled_run_has_the_same_bits_as_without_fmi() {
         toy.rejects_above = 0.15;
         Box::new(toy) as Box<dyn Unit>
     });
-    let mut direct = Run::new(toys, interface(), settings()).unwrap();
-    let mut run = Run::new(units(&fmus), interface(), settings()).unwrap();
+    let mut direct = Run::new(toys, Interface::poroelastic(), settings()).unwrap();
+    let mut run = Run::new(units(&fmus), interface(&fmus), settings()).unwrap();
     let mut stopped = None;
     while !direct.is_finished() {
         let (a, b) = (direct.advance().unwrap(), run.advance().unwrap());
@@ -96,7 +93,7 @@ fn a_coupled_run_has_the_same_bits_as_without_fmi() {
     assert!(run.is_finished() && run.fields()[0].iter().all(|p| *p > 1e5));
     // Other instances go on from the checkpoint.
     let checkpoint = Checkpoint::from_bytes(&stopped.unwrap()).unwrap();
-    let mut resumed = Run::resume(units(&fmus), interface(), settings(), &checkpoint).unwrap();
+    let mut resumed = Run::resume(units(&fmus), interface(&fmus), settings(), &checkpoint).unwrap();
     while !resumed.is_finished() {
         resumed.advance().unwrap();
     }
@@ -142,4 +139,20 @@ fn instances_come_and_go() {
         assert_eq!(unit.step(0.0, 0.1), Ok(StepOutcome::Done));
         unit.restore().unwrap();
     }
+}
+
+/// The interface is that of the table from which the units have their variables.
+#[test]
+fn names_are_those_of_the_units() {
+    let exchanged = |name: &str, referenced: bool| {
+        let quantity = coupling::QUANTITIES.iter().find(|q| q.name == name && q.exchanged);
+        quantity.filter(|q| q.referenced == referenced).map(|q| (q.unit, q.from == coupling::Role::Mechanics))
+    };
+    for field in Interface::poroelastic().fields {
+        let from_mechanics = field.from == orchestrator::MECHANICS;
+        assert_eq!(exchanged(&field.name, true), Some((field.unit.as_str(), from_mechanics)));
+        let sensitivity = field.sensitivity.unwrap().variable;
+        assert_eq!(exchanged(&sensitivity, false).unwrap().1, from_mechanics, "{sensitivity}");
+    }
+    assert_eq!(coupling::QUANTITIES.iter().filter(|q| q.exchanged).count(), 8);
 }

@@ -4,9 +4,10 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, Outcome, Partner, Place, State, StepReport,
+    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, Outcome, Partner,
+    Place, State, StepReport,
 };
-use mesh::generate::Triangles;
+use mesh::generate::{Triangles, extrude, simplices};
 use mesh::{Mesh, MeshData, Vec3};
 
 use crate::norms::cell_quadrature;
@@ -238,6 +239,52 @@ pub mod single_crack {
         };
         let inner = profile.iter().filter(|p| p[0].abs() < 0.9 * HALF_LENGTH);
         [ratio(&mut profile.iter().map(|p| (p[1], slip(p[0])))), ratio(&mut inner.map(|p| (p[2], normal_multiplier())))]
+    }
+}
+
+/// Four crossing vertical fractures in the unit cube, sheared and pressed from the top (Droniou, Enchéry, Faille, Haidar,
+/// Masson, CMAME 2024, section 5.3; traces chosen).
+pub mod network_3d {
+    use super::*;
+
+    /// End of the case (s).
+    pub const END: f64 = 2000.0;
+
+    const TRACES: [[[f64; 2]; 2]; 4] =
+        [[[0.1, 0.5], [0.9, 0.5]], [[0.15, 0.7], [0.4, 0.2]], [[0.45, 0.3], [0.6, 0.8]], [[0.6, 0.2], [0.8, 0.8]]];
+
+    /// Tetrahedra: prisms over triangles of size `size` (m) on the traces, with `layers` layers (a multiple of 5), split.
+    ///
+    /// # Panics
+    /// If the mesh cannot be made.
+    pub fn tetrahedra(size: f64, layers: usize) -> Mesh {
+        let names = ["1", "2", "3", "4"];
+        let mut triangles = Triangles::rectangle([0.0; 2], [1.0; 2], 2.0 * size).growth(0.3);
+        for (name, trace) in names.iter().zip(&TRACES) {
+            triangles = triangles.fracture(name, trace, size);
+        }
+        let flat = Mesh::new(triangles.build().unwrap_or_else(|e| panic!("{e}"))).unwrap_or_else(|e| panic!("{e}"));
+        let levels: Vec<f64> = (0..=layers).map(|k| k as f64 / layers as f64).collect();
+        let inside = |layer: usize| 5 * layer >= layers && 5 * (layer + 1) <= 4 * layers;
+        let prisms = extrude(&flat, &levels, |_, layer| inside(layer)).unwrap_or_else(|e| panic!("{e}"));
+        let prisms = Mesh::new(prisms).unwrap_or_else(|e| panic!("{e}"));
+        Mesh::new(simplices(&prisms).unwrap_or_else(|e| panic!("{e}"))).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// The mechanical model.
+    pub fn model(bubbles: Bubbles) -> Model {
+        let mut model = Model { bubbles, ..Model::default() };
+        let rock = Material { young_modulus: 10e9, poisson_ratio: 0.2, biot_coefficient: 0.5 };
+        model.materials.insert("rock".into(), rock);
+        for name in ["1", "2", "3", "4"] {
+            model.fractures.insert(name.into(), FractureLaw::coulomb(0.5, 1e-3));
+        }
+        for (component, top) in [5e-3, 2e-3, -2e-3].into_iter().enumerate() {
+            model.dirichlet.push(Dirichlet::zero("bottom", component));
+            let value = move |_: &BoundaryPoint, t: f64| top * (2.0 * t / END).min(1.0);
+            model.dirichlet.push(Dirichlet { place: Place::Tag("top".into()), component, value: Arc::new(value) });
+        }
+        model
     }
 }
 

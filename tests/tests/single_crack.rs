@@ -16,7 +16,7 @@ fn slip_and_traction() {
             "{:?} {:?} {} {:?}",
             single_crack::errors(&single_crack::profile(&mechanics, &state)),
             report.newton,
-            mechanics.factor_entries(),
+            mechanics.setup().factor_entries,
             t.elapsed()
         );
     }

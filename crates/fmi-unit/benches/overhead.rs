@@ -64,12 +64,8 @@ fn main() {
     let (mut state, mut size) = (ptr::null_mut(), 0);
     // SAFETY: places and arrays live through the calls and have the length that is said.
     unsafe {
-        measure("fmi3GetFMUState, 550 kB", 200, || {
-            assert_eq!(fmi3GetFMUState(i, &mut state), Status::OK)
-        });
-        measure("fmi3SetFMUState, 550 kB", 200, || {
-            assert_eq!(fmi3SetFMUState(i, state), Status::OK)
-        });
+        measure("fmi3GetFMUState, 550 kB", 200, || assert_eq!(fmi3GetFMUState(i, &mut state), Status::OK));
+        measure("fmi3SetFMUState, 550 kB", 200, || assert_eq!(fmi3SetFMUState(i, state), Status::OK));
         let mut bytes = Vec::new();
         measure("fmi3SerializeFMUState with its size", 50, || {
             fmi3SerializedFMUStateSize(i, state, &mut size);
@@ -78,14 +74,9 @@ fn main() {
         });
         let mut copy = ptr::null_mut();
         measure("fmi3DeserializeFMUState", 50, || {
-            assert_eq!(
-                fmi3DeserializeFMUState(i, bytes.as_ptr(), size, &mut copy),
-                Status::OK
-            );
+            assert_eq!(fmi3DeserializeFMUState(i, bytes.as_ptr(), size, &mut copy), Status::OK);
         });
     }
-    measure("fmi3InstantiateCoSimulation + fmi3FreeInstance", 50, || {
-        free(new())
-    });
+    measure("fmi3InstantiateCoSimulation + fmi3FreeInstance", 50, || free(new()));
     free(i);
 }

@@ -7,9 +7,8 @@
 //! The parameter `fault` makes the unit misbehave on purpose, for the tests of the layer.
 
 use fmi_unit::{
-    Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log,
-    Reference, StepOutcome, Terminal, Type, Unit, UnitDefinition, UnitError, Values, ValuesMut,
-    Variable,
+    Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log, Reference, StepOutcome,
+    Terminal, Type, Unit, UnitDefinition, UnitError, Values, ValuesMut, Variable,
 };
 
 const HEAT: Reference = 1;
@@ -72,20 +71,12 @@ impl Unit for HeatedBars {
 
     fn instantiate(environment: &Environment) -> Result<Self, UnitError> {
         let path = environment.resource("size.txt")?;
-        let text =
-            std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
-        let sizes = text
-            .split_whitespace()
-            .map(str::parse)
-            .collect::<Result<Vec<usize>, _>>()?;
+        let text = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let sizes = text.split_whitespace().map(str::parse).collect::<Result<Vec<usize>, _>>()?;
         let (bars, cells) = match sizes[..] {
-            [bars, cells] if (1..=MOST_CELLS).contains(&bars.saturating_mul(cells)) => {
-                (bars, cells)
-            }
+            [bars, cells] if (1..=MOST_CELLS).contains(&bars.saturating_mul(cells)) => (bars, cells),
             _ => {
-                return Err(
-                    format!("{}: expected two sizes, found `{text}`", path.display()).into(),
-                );
+                return Err(format!("{}: expected two sizes, found `{text}`", path.display()).into());
             }
         };
         Ok(HeatedBars {
@@ -116,11 +107,7 @@ impl Unit for HeatedBars {
                 adjoint_derivative: true,
                 ..Capabilities::default()
             })
-            .default_experiment(DefaultExperiment {
-                start: 0.0,
-                stop: 10.0,
-                step: 0.5,
-            })
+            .default_experiment(DefaultExperiment { start: 0.0, stop: 10.0, step: 0.5 })
             .log_category("solver", "What the solver does")
             .units([
                 UnitDefinition::new("s").second(1),
@@ -142,9 +129,7 @@ impl Unit for HeatedBars {
                     .unit("W")
                     .start(0.0)
                     .describe("Heat into the first cell of each bar"),
-                Variable::input(ENABLED, "enabled", Type::Boolean)
-                    .start(true)
-                    .describe("Whether heat flows"),
+                Variable::input(ENABLED, "enabled", Type::Boolean).start(true).describe("Whether heat flows"),
                 Variable::output(TEMPERATURE, "bars.temperature", Type::Float64)
                     .dimensions(&[bars, cells])
                     .unit("K")
@@ -155,9 +140,7 @@ impl Unit for HeatedBars {
                     .unit("W")
                     .describe("Radiated heat")
                     .depends_on(&[HEAT]),
-                Variable::output(HOTTEST, "hottest", Type::Float64)
-                    .unit("K")
-                    .describe("Highest temperature"),
+                Variable::output(HOTTEST, "hottest", Type::Float64).unit("K").describe("Highest temperature"),
                 Variable::output(PHASE, "bars.phase", Type::Int64)
                     .enumeration("Phase")
                     .dimensions(&[bars])
@@ -172,12 +155,8 @@ impl Unit for HeatedBars {
                     .start(10.0)
                     .tunable()
                     .describe("Longer steps are discarded"),
-                Variable::parameter(LABEL, "label", Type::String)
-                    .start("bars")
-                    .describe("Any text"),
-                Variable::parameter(BLOB, "blob", Type::Binary)
-                    .start(vec![1u8, 2, 3])
-                    .describe("Any bytes"),
+                Variable::parameter(LABEL, "label", Type::String).start("bars").describe("Any text"),
+                Variable::parameter(BLOB, "blob", Type::Binary).start(vec![1u8, 2, 3]).describe("Any bytes"),
                 Variable::parameter(FAULT, "fault", Type::Int64)
                     .enumeration("Fault")
                     .start(0)
@@ -199,12 +178,7 @@ impl Unit for HeatedBars {
                 values.write(&self.heads().zip(&self.heat).map(loss).collect::<Vec<_>>())
             }
             HOTTEST => values.write(&[self.temperature.iter().copied().fold(f64::MIN, f64::max)]),
-            PHASE => values.write(
-                &self
-                    .heads()
-                    .map(|t| if t < MELTING { 1 } else { 2i64 })
-                    .collect::<Vec<_>>(),
-            ),
+            PHASE => values.write(&self.heads().map(|t| if t < MELTING { 1 } else { 2i64 }).collect::<Vec<_>>()),
             STEPS => values.write(&[self.steps]),
             AMBIENT => values.write(&[self.ambient]),
             MAX_STEP => values.write(&[self.max_step]),
@@ -242,10 +216,7 @@ impl Unit for HeatedBars {
             _ => {}
         }
         if step > self.max_step {
-            return Ok(StepOutcome::Discarded(format!(
-                "{step} s is longer than {} s",
-                self.max_step
-            )));
+            return Ok(StepOutcome::Discarded(format!("{step} s is longer than {} s", self.max_step)));
         }
         for (bar, heat) in self.temperature.chunks_mut(self.cells).zip(&self.heat) {
             let old = bar.to_vec();
@@ -256,8 +227,7 @@ impl Unit for HeatedBars {
             }
         }
         self.steps += 1;
-        self.log
-            .info("solver", format!("step {} of {step} s", self.steps));
+        self.log.info("solver", format!("step {} of {step} s", self.steps));
         Ok(StepOutcome::Completed)
     }
 
@@ -272,11 +242,7 @@ impl Unit for HeatedBars {
 
     fn serialize(&self, state: &HeatedBars) -> Result<Vec<u8>, UnitError> {
         let mut bytes = Vec::new();
-        let floats = state
-            .heat
-            .iter()
-            .chain(&state.temperature)
-            .chain([&state.ambient, &state.max_step]);
+        let floats = state.heat.iter().chain(&state.temperature).chain([&state.ambient, &state.max_step]);
         floats.for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
         bytes.extend_from_slice(&state.steps.to_le_bytes());
         bytes.extend_from_slice(&state.fault.to_le_bytes());
@@ -291,9 +257,7 @@ impl Unit for HeatedBars {
         let mut state = self.clone();
         let mut rest = bytes;
         let mut word = || -> Result<[u8; 8], UnitError> {
-            let (word, tail) = rest
-                .split_first_chunk::<8>()
-                .ok_or("the state is too short")?;
+            let (word, tail) = rest.split_first_chunk::<8>().ok_or("the state is too short")?;
             rest = tail;
             Ok(*word)
         };
@@ -305,13 +269,9 @@ impl Unit for HeatedBars {
         state.fault = i64::from_le_bytes(word()?);
         let (enabled, tail) = rest.split_first().ok_or("the state is too short")?;
         state.enabled = *enabled != 0;
-        let (length, tail) = tail
-            .split_first_chunk::<8>()
-            .ok_or("the state is too short")?;
+        let (length, tail) = tail.split_first_chunk::<8>().ok_or("the state is too short")?;
         let length = usize::try_from(u64::from_le_bytes(*length))?;
-        let (label, blob) = tail
-            .split_at_checked(length)
-            .ok_or("the state is too short")?;
+        let (label, blob) = tail.split_at_checked(length).ok_or("the state is too short")?;
         state.label = String::from_utf8(label.to_vec())?;
         state.blob = blob.to_vec();
         Ok(state)
@@ -325,16 +285,10 @@ impl Unit for HeatedBars {
         sensitivity: &mut [f64],
     ) -> Result<(), UnitError> {
         if (unknowns, knowns) != (&[LOSS], &[HEAT]) {
-            return Err(
-                "only the derivative of bars.loss with respect to bars.heat is known".into(),
-            );
+            return Err("only the derivative of bars.loss with respect to bars.heat is known".into());
         }
         let slope = self.loss_slope();
-        sensitivity
-            .iter_mut()
-            .zip(slope)
-            .zip(seed)
-            .for_each(|((out, slope), seed)| *out = slope * seed);
+        sensitivity.iter_mut().zip(slope).zip(seed).for_each(|((out, slope), seed)| *out = slope * seed);
         Ok(())
     }
 

@@ -83,12 +83,7 @@ macro_rules! exponents {
 impl UnitDefinition {
     /// A unit without dimension, to be given exponents.
     pub fn new(name: &str) -> Self {
-        UnitDefinition {
-            name: name.to_owned(),
-            exponents: [0; 8],
-            factor: 1.0,
-            offset: 0.0,
-        }
+        UnitDefinition { name: name.to_owned(), exponents: [0; 8], factor: 1.0, offset: 0.0 }
     }
 
     exponents! { kilogram 0; metre 1; second 2; ampere 3; kelvin 4; mole 5; candela 6; radian 7; }
@@ -117,18 +112,12 @@ pub(crate) struct Item {
 impl Enumeration {
     /// An enumeration without items.
     pub fn new(name: &str) -> Self {
-        Enumeration {
-            name: name.to_owned(),
-            items: Vec::new(),
-        }
+        Enumeration { name: name.to_owned(), items: Vec::new() }
     }
 
     /// Adds an item.
     pub fn item(mut self, name: &str, value: i64) -> Self {
-        self.items.push(Item {
-            name: name.to_owned(),
-            value,
-        });
+        self.items.push(Item { name: name.to_owned(), value });
         self
     }
 }
@@ -144,11 +133,7 @@ pub struct Terminal {
 impl Terminal {
     /// A terminal without members.
     pub fn new(name: &str, about: &str) -> Self {
-        Terminal {
-            name: name.to_owned(),
-            about: about.to_owned(),
-            members: Vec::new(),
-        }
+        Terminal { name: name.to_owned(), about: about.to_owned(), members: Vec::new() }
     }
 
     /// Adds the variable named `variable` as `member`.
@@ -230,8 +215,7 @@ impl Description {
 
     /// Adds a category for [`Log`](crate::Log).
     pub fn log_category(mut self, name: &str, about: &str) -> Self {
-        self.log_categories
-            .push((name.to_owned(), about.to_owned()));
+        self.log_categories.push((name.to_owned(), about.to_owned()));
         self
     }
 
@@ -267,10 +251,7 @@ impl Description {
     }
 
     pub(crate) fn all_categories(&self) -> impl Iterator<Item = (&str, &str)> {
-        let own = self
-            .log_categories
-            .iter()
-            .map(|(name, about)| (name.as_str(), about.as_str()));
+        let own = self.log_categories.iter().map(|(name, about)| (name.as_str(), about.as_str()));
         LAYER_CATEGORIES.into_iter().chain(own)
     }
 
@@ -281,33 +262,15 @@ impl Description {
     pub fn check(&self) -> Result<(), Error> {
         let mut found = problems(self);
         let mut report = |place: String, problem: &str| {
-            found.push(Problem {
-                place,
-                problem: problem.to_owned(),
-            });
+            found.push(Problem { place, problem: problem.to_owned() });
         };
         if !is_identifier(&self.identifier) {
-            report(
-                format!("identifier `{}`", self.identifier),
-                "it is no C identifier",
-            );
+            report(format!("identifier `{}`", self.identifier), "it is no C identifier");
         }
         for (what, names) in [
-            (
-                "unit",
-                self.units
-                    .iter()
-                    .map(|u| u.name.as_str())
-                    .collect::<Vec<_>>(),
-            ),
-            (
-                "enumeration",
-                self.enumerations.iter().map(|e| e.name.as_str()).collect(),
-            ),
-            (
-                "terminal",
-                self.terminals.iter().map(|t| t.name.as_str()).collect(),
-            ),
+            ("unit", self.units.iter().map(|u| u.name.as_str()).collect::<Vec<_>>()),
+            ("enumeration", self.enumerations.iter().map(|e| e.name.as_str()).collect()),
+            ("terminal", self.terminals.iter().map(|t| t.name.as_str()).collect()),
             ("log category", self.all_categories().map(|c| c.0).collect()),
         ] {
             let mut seen = HashSet::new();
@@ -348,22 +311,12 @@ impl Description {
         // XML cannot hold them, not even escaped.
         let xml = model_description(self, "") + &terminals_and_icons(self, false);
         if xml.contains(|c: char| c.is_control() && c != '\n') {
-            report(
-                "texts".to_owned(),
-                "a name or description contains control characters",
-            );
+            report("texts".to_owned(), "a name or description contains control characters");
         }
         if self.capabilities.serialize && !self.capabilities.state {
-            report(
-                "capabilities".to_owned(),
-                "states that are serialised must be saved and restored too",
-            );
+            report("capabilities".to_owned(), "states that are serialised must be saved and restored too");
         }
-        if found.is_empty() {
-            Ok(())
-        } else {
-            Err(Error::Description(found))
-        }
+        if found.is_empty() { Ok(()) } else { Err(Error::Description(found)) }
     }
 }
 
@@ -377,23 +330,12 @@ mod tests {
         let description = Description::new("Test", "a-b")
             .time_unit("s")
             .units([UnitDefinition::new("K"), UnitDefinition::new("K")])
-            .enumerations([
-                Enumeration::new("Empty"),
-                Enumeration::new("Same").item("a", 1).item("b", 1),
-            ])
+            .enumerations([Enumeration::new("Empty"), Enumeration::new("Same").item("a", 1).item("b", 1)])
             .variables([Variable::output(1, "y", Type::Float64)])
-            .terminals([
-                Terminal::new("port", "").member("y", "y").member("y", "z"),
-                Terminal::new("bare", "\u{7}"),
-            ])
+            .terminals([Terminal::new("port", "").member("y", "y").member("y", "z"), Terminal::new("bare", "\u{7}")])
             .log_category("logStatusError", "")
-            .capabilities(Capabilities {
-                serialize: true,
-                ..Capabilities::default()
-            });
-        let Err(Error::Description(problems)) = description.check() else {
-            panic!("not refused")
-        };
+            .capabilities(Capabilities { serialize: true, ..Capabilities::default() });
+        let Err(Error::Description(problems)) = description.check() else { panic!("not refused") };
         let text: Vec<_> = problems.iter().map(ToString::to_string).collect();
         assert_eq!(problems.len(), 11, "{text:#?}");
     }

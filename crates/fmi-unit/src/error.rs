@@ -76,9 +76,7 @@ pub enum Error {
         value: i64,
     },
     /// The instantiation token is not the one of this unit with these resources.
-    #[error(
-        "the instantiation token is `{given}`, but this library with these resources has `{expected}`"
-    )]
+    #[error("the instantiation token is `{given}`, but this library with these resources has `{expected}`")]
     Token {
         /// From the host.
         given: String,

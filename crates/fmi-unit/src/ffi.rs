@@ -8,16 +8,8 @@
 //! Log messages are delivered after the instance has been released, so a callback may call back.
 //!
 //! Items are public for [`export_unit!`](crate::export_unit) only.
-#![allow(
-    unsafe_code,
-    reason = "arrays, strings and callbacks of the host are raw pointers"
-)]
-#![allow(
-    non_snake_case,
-    missing_docs,
-    clippy::missing_safety_doc,
-    reason = "functions of the standard"
-)]
+#![allow(unsafe_code, reason = "arrays, strings and callbacks of the host are raw pointers")]
+#![allow(non_snake_case, missing_docs, clippy::missing_safety_doc, reason = "functions of the standard")]
 
 use std::collections::HashMap;
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
@@ -26,9 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, TryLockError};
 
 use crate::error::Error;
-use crate::instance::{
-    Direction, Instance, LogEntry, Product, Reply, Severity, argument, factory, guard,
-};
+use crate::instance::{Direction, Instance, LogEntry, Product, Reply, Severity, argument, factory, guard};
 use crate::modes::Function;
 use crate::unit::{Environment, Experiment, Log, Unit, Value};
 use crate::variables::Type;
@@ -80,8 +70,7 @@ pub struct IntervalQualifier(pub c_int);
 pub type LogMessage = Option<unsafe extern "C" fn(Handle, Status, *const Char, *const Char)>;
 pub type ClockUpdate = Option<unsafe extern "C" fn(Handle)>;
 pub type Preemption = Option<unsafe extern "C" fn()>;
-pub type IntermediateUpdate =
-    Option<unsafe extern "C" fn(Handle, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64)>;
+pub type IntermediateUpdate = Option<unsafe extern "C" fn(Handle, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64)>;
 
 /// The host's side of an instance.
 #[derive(Clone, Copy)]
@@ -102,8 +91,7 @@ impl Host {
         let Some(log) = self.log else { return };
         // `#` marks value references in messages and is escaped by doubling it.
         let text = entry.text.replace('#', "##").replace('\0', "\u{fffd}");
-        let (Ok(category), Ok(text)) = (CString::new(entry.category.as_str()), CString::new(text))
-        else {
+        let (Ok(category), Ok(text)) = (CString::new(entry.category.as_str()), CString::new(text)) else {
             return;
         };
         let (category, text) = (category.as_ptr().cast(), text.as_ptr().cast());
@@ -205,11 +193,7 @@ pub fn unsupported(instance: Handle, name: &str) -> Status {
 ///
 /// # Safety
 /// If `pointer` is not null and aligned, it points to `count` values that live as long as `'a`.
-unsafe fn slice<'a, T>(
-    pointer: *const T,
-    count: usize,
-    name: &'static str,
-) -> Result<&'a [T], Error> {
+unsafe fn slice<'a, T>(pointer: *const T, count: usize, name: &'static str) -> Result<&'a [T], Error> {
     if count == 0 {
         return Ok(&[]);
     }
@@ -222,11 +206,7 @@ unsafe fn slice<'a, T>(
 ///
 /// # Safety
 /// As for [`slice`], and nothing else refers to the array.
-unsafe fn slice_mut<'a, T>(
-    pointer: *mut T,
-    count: usize,
-    name: &'static str,
-) -> Result<&'a mut [T], Error> {
+unsafe fn slice_mut<'a, T>(pointer: *mut T, count: usize, name: &'static str) -> Result<&'a mut [T], Error> {
     if count == 0 {
         return Ok(&mut []);
     }
@@ -252,10 +232,7 @@ fn check<T>(pointer: *const T, count: usize, name: &'static str) -> Result<(), E
     if !pointer.is_aligned() {
         return Err(argument(name, "is not aligned"));
     }
-    if count
-        .checked_mul(size_of::<T>())
-        .is_none_or(|bytes| bytes > isize::MAX as usize)
-    {
+    if count.checked_mul(size_of::<T>()).is_none_or(|bytes| bytes > isize::MAX as usize) {
         return Err(argument(name, format!("has the impossible length {count}")));
     }
     Ok(())
@@ -269,9 +246,7 @@ unsafe fn string(pointer: *const Char, name: &'static str) -> Result<String, Err
     check(pointer, 1, name)?;
     // SAFETY: not null by the check; the rest is the caller's promise.
     let text = unsafe { CStr::from_ptr(pointer.cast()) };
-    text.to_str()
-        .map(str::to_owned)
-        .map_err(|_| argument(name, "is not valid UTF-8"))
+    text.to_str().map(str::to_owned).map_err(|_| argument(name, "is not valid UTF-8"))
 }
 
 pub unsafe fn fmi3GetVersion() -> *const Char {
@@ -295,20 +270,12 @@ pub unsafe fn fmi3InstantiateCoSimulation<U: Unit>(
     let host = Host { environment, log };
     let instance = guard(|| {
         // SAFETY: strings of the host.
-        let (name, token) = unsafe {
-            (
-                string(name, "instanceName")?,
-                string(token, "instantiationToken")?,
-            )
-        };
+        let (name, token) = unsafe { (string(name, "instanceName")?, string(token, "instantiationToken")?) };
         if name.trim().is_empty() {
             return Err(argument("instanceName", "is empty"));
         }
         if event_mode.is_set() {
-            return Err(argument(
-                "eventModeUsed",
-                "is true, but the unit has no event mode",
-            ));
+            return Err(argument("eventModeUsed", "is true, but the unit has no event mode"));
         }
         if intermediate_count > 0 {
             return Err(argument(
@@ -322,20 +289,13 @@ pub unsafe fn fmi3InstantiateCoSimulation<U: Unit>(
             // SAFETY: a string of the host.
             Some(unsafe { string(resources, "resourcePath") }?.into())
         };
-        let environment = Environment {
-            instance_name: name,
-            resources,
-            log: Log::default(),
-        };
+        let environment = Environment { instance_name: name, resources, log: Log::default() };
         Instance::new(factory::<U>, environment, &token, logging.is_set())
     });
     match instance {
         Ok(mut instance) => {
             let messages = instance.take_messages();
-            let handle = register(Slot {
-                host,
-                instance: Mutex::new(instance),
-            });
+            let handle = register(Slot { host, instance: Mutex::new(instance) });
             messages.iter().for_each(|entry| host.tell(entry));
             handle
         }
@@ -346,12 +306,7 @@ pub unsafe fn fmi3InstantiateCoSimulation<U: Unit>(
     }
 }
 
-fn refuse(
-    environment: Handle,
-    log: LogMessage,
-    function: &'static str,
-    reason: &'static str,
-) -> Handle {
+fn refuse(environment: Handle, log: LogMessage, function: &'static str, reason: &'static str) -> Handle {
     Host { environment, log }.tell_error(function, &Error::Unsupported { function, reason });
     ptr::null_mut()
 }
@@ -365,12 +320,7 @@ pub unsafe fn fmi3InstantiateModelExchange(
     environment: Handle,
     log: LogMessage,
 ) -> Handle {
-    refuse(
-        environment,
-        log,
-        "fmi3InstantiateModelExchange",
-        "the unit is for co-simulation",
-    )
+    refuse(environment, log, "fmi3InstantiateModelExchange", "the unit is for co-simulation")
 }
 
 pub unsafe fn fmi3InstantiateScheduledExecution(
@@ -385,12 +335,7 @@ pub unsafe fn fmi3InstantiateScheduledExecution(
     _lock: Preemption,
     _unlock: Preemption,
 ) -> Handle {
-    refuse(
-        environment,
-        log,
-        "fmi3InstantiateScheduledExecution",
-        "the unit is for co-simulation",
-    )
+    refuse(environment, log, "fmi3InstantiateScheduledExecution", "the unit is for co-simulation")
 }
 
 pub unsafe fn fmi3FreeInstance(instance: Handle) {
@@ -410,19 +355,12 @@ pub unsafe fn fmi3FreeInstance(instance: Handle) {
     }
 }
 
-pub unsafe fn fmi3SetDebugLogging(
-    instance: Handle,
-    on: Flag,
-    count: usize,
-    categories: *const *const Char,
-) -> Status {
+pub unsafe fn fmi3SetDebugLogging(instance: Handle, on: Flag, count: usize, categories: *const *const Char) -> Status {
     call(instance, Function::SetDebugLogging, |i| {
         // SAFETY: an array of the host.
         let categories = unsafe { slice(categories, count, "categories") }?;
         // SAFETY: strings of the host.
-        let names = categories
-            .iter()
-            .map(|c| unsafe { string(*c, "categories") });
+        let names = categories.iter().map(|c| unsafe { string(*c, "categories") });
         i.set_debug_logging(on.is_set(), &names.collect::<Result<Vec<_>, _>>()?)
     })
 }
@@ -445,11 +383,7 @@ pub unsafe fn fmi3EnterInitializationMode(
 }
 
 pub unsafe fn fmi3ExitInitializationMode(instance: Handle) -> Status {
-    call(
-        instance,
-        Function::ExitInitializationMode,
-        Instance::exit_initialization,
-    )
+    call(instance, Function::ExitInitializationMode, Instance::exit_initialization)
 }
 
 pub unsafe fn fmi3Terminate(instance: Handle) -> Status {
@@ -545,10 +479,7 @@ pub unsafe fn fmi3GetBoolean(
         let values = unsafe { slice_mut(values, size, "values") }?;
         let mut booleans = vec![false; size];
         i.get(references, &mut booleans)?;
-        values
-            .iter_mut()
-            .zip(booleans)
-            .for_each(|(flag, value)| *flag = value.into());
+        values.iter_mut().zip(booleans).for_each(|(flag, value)| *flag = value.into());
         Ok(())
     })
 }
@@ -566,10 +497,7 @@ pub unsafe fn fmi3SetBoolean(
         i.expect(references, Type::Boolean, size)?;
         // SAFETY: an array of the host, of the expected size.
         let values = unsafe { slice(values, size, "values") }?;
-        i.set(
-            references,
-            &values.iter().map(|flag| flag.is_set()).collect::<Vec<_>>(),
-        )
+        i.set(references, &values.iter().map(|flag| flag.is_set()).collect::<Vec<_>>())
     })
 }
 
@@ -588,15 +516,9 @@ pub unsafe fn fmi3GetString(
         let values = unsafe { slice_mut(values, size, "values") }?;
         let mut strings = vec![String::new(); size];
         i.get(references, &mut strings)?;
-        let strings = strings
-            .into_iter()
-            .map(CString::new)
-            .collect::<Result<Vec<_>, _>>();
+        let strings = strings.into_iter().map(CString::new).collect::<Result<Vec<_>, _>>();
         i.strings = strings.map_err(|e| Error::Contract(format!("a string contains NUL: {e}")))?;
-        values
-            .iter_mut()
-            .zip(&i.strings)
-            .for_each(|(place, string)| *place = string.as_ptr().cast());
+        values.iter_mut().zip(&i.strings).for_each(|(place, string)| *place = string.as_ptr().cast());
         Ok(())
     })
 }
@@ -615,9 +537,7 @@ pub unsafe fn fmi3SetString(
         // SAFETY: an array of the host, of the expected size.
         let values = unsafe { slice(values, size, "values") }?;
         // SAFETY: strings of the host.
-        let strings = values
-            .iter()
-            .map(|value| unsafe { string(*value, "values") });
+        let strings = values.iter().map(|value| unsafe { string(*value, "values") });
         i.set(references, &strings.collect::<Result<Vec<_>, _>>()?)
     })
 }
@@ -635,12 +555,7 @@ pub unsafe fn fmi3GetBinary(
         let references = unsafe { slice(references, count, "valueReferences") }?;
         i.expect(references, Type::Binary, size)?;
         // SAFETY: two different arrays of the host, of the expected size.
-        let (sizes, values) = unsafe {
-            (
-                slice_mut(sizes, size, "valueSizes")?,
-                slice_mut(values, size, "values")?,
-            )
-        };
+        let (sizes, values) = unsafe { (slice_mut(sizes, size, "valueSizes")?, slice_mut(values, size, "values")?) };
         let mut binaries = vec![Vec::new(); size];
         i.get(references, &mut binaries)?;
         i.binaries = binaries;
@@ -665,12 +580,7 @@ pub unsafe fn fmi3SetBinary(
         let references = unsafe { slice(references, count, "valueReferences") }?;
         i.expect(references, Type::Binary, size)?;
         // SAFETY: two arrays of the host, of the expected size.
-        let (sizes, values) = unsafe {
-            (
-                slice(sizes, size, "valueSizes")?,
-                slice(values, size, "values")?,
-            )
-        };
+        let (sizes, values) = unsafe { (slice(sizes, size, "valueSizes")?, slice(values, size, "values")?) };
         let binaries = sizes.iter().zip(values).map(|(&size, &value)| {
             // SAFETY: bytes of the host, of the size that the host says.
             unsafe { slice(value, size, "values") }.map(<[u8]>::to_vec)
@@ -694,9 +604,7 @@ pub unsafe fn fmi3GetFMUState(instance: Handle, state: *mut Handle) -> Status {
 }
 
 pub unsafe fn fmi3SetFMUState(instance: Handle, state: Handle) -> Status {
-    call(instance, Function::SetFMUState, |i| {
-        i.restore(state_key(state))
-    })
+    call(instance, Function::SetFMUState, |i| i.restore(state_key(state)))
 }
 
 pub unsafe fn fmi3FreeFMUState(instance: Handle, state: *mut Handle) -> Status {
@@ -709,11 +617,7 @@ pub unsafe fn fmi3FreeFMUState(instance: Handle, state: *mut Handle) -> Status {
     })
 }
 
-pub unsafe fn fmi3SerializedFMUStateSize(
-    instance: Handle,
-    state: Handle,
-    size: *mut usize,
-) -> Status {
+pub unsafe fn fmi3SerializedFMUStateSize(instance: Handle, state: Handle, size: *mut usize) -> Status {
     call(instance, Function::SerializedFMUStateSize, |i| {
         // SAFETY: a value of the host.
         let size = unsafe { place(size, "size") }?;
@@ -722,12 +626,7 @@ pub unsafe fn fmi3SerializedFMUStateSize(
     })
 }
 
-pub unsafe fn fmi3SerializeFMUState(
-    instance: Handle,
-    state: Handle,
-    bytes: *mut u8,
-    size: usize,
-) -> Status {
+pub unsafe fn fmi3SerializeFMUState(instance: Handle, state: Handle, bytes: *mut u8, size: usize) -> Status {
     call(instance, Function::SerializeFMUState, |i| {
         let serialized = i.serialize(state_key(state), size)?;
         // SAFETY: an array of the host, of the size that the state has.
@@ -736,20 +635,10 @@ pub unsafe fn fmi3SerializeFMUState(
     })
 }
 
-pub unsafe fn fmi3DeserializeFMUState(
-    instance: Handle,
-    bytes: *const u8,
-    size: usize,
-    state: *mut Handle,
-) -> Status {
+pub unsafe fn fmi3DeserializeFMUState(instance: Handle, bytes: *const u8, size: usize, state: *mut Handle) -> Status {
     call(instance, Function::DeserializeFMUState, |i| {
         // SAFETY: an array and a value of the host.
-        let (bytes, state) = unsafe {
-            (
-                slice(bytes, size, "serializedState")?,
-                place(state, "FMUState")?,
-            )
-        };
+        let (bytes, state) = unsafe { (slice(bytes, size, "serializedState")?, place(state, "FMUState")?) };
         *state = handle(i.deserialize(bytes, state_key(*state))?);
         Ok(())
     })

@@ -106,9 +106,7 @@ struct Adapter<U>(U);
 
 impl<U: Unit> Adapter<U> {
     fn state(state: &dyn Any) -> Result<&U::State, UnitError> {
-        state
-            .downcast_ref()
-            .ok_or_else(|| "the state is of another type".into())
+        state.downcast_ref().ok_or_else(|| "the state is of another type".into())
     }
 }
 
@@ -145,14 +143,8 @@ impl<U: Unit> AnyUnit for Adapter<U> {
     }
     fn derivative(&mut self, direction: Direction, p: Product<'_>) -> Result<(), UnitError> {
         match direction {
-            Direction::Forward => {
-                self.0
-                    .directional_derivative(p.unknowns, p.knowns, p.seed, p.sensitivity)
-            }
-            Direction::Adjoint => {
-                self.0
-                    .adjoint_derivative(p.unknowns, p.knowns, p.seed, p.sensitivity)
-            }
+            Direction::Forward => self.0.directional_derivative(p.unknowns, p.knowns, p.seed, p.sensitivity),
+            Direction::Adjoint => self.0.adjoint_derivative(p.unknowns, p.knowns, p.seed, p.sensitivity),
         }
     }
 }
@@ -187,26 +179,13 @@ struct Filter(HashMap<String, bool>);
 
 impl Filter {
     fn new(description: &Description, on: bool) -> Self {
-        Filter(
-            description
-                .all_categories()
-                .map(|(name, _)| (name.to_owned(), on))
-                .collect(),
-        )
+        Filter(description.all_categories().map(|(name, _)| (name.to_owned(), on)).collect())
     }
 
     fn pass(&self, message: Message) -> Option<LogEntry> {
-        let severity = if message.warning {
-            Severity::Warning
-        } else {
-            Severity::Ok
-        };
+        let severity = if message.warning { Severity::Warning } else { Severity::Ok };
         let on = self.0.get(&message.category).copied().unwrap_or(false);
-        on.then_some(LogEntry {
-            severity,
-            category: message.category,
-            text: message.text,
-        })
+        on.then_some(LogEntry { severity, category: message.category, text: message.text })
     }
 }
 
@@ -252,10 +231,7 @@ impl Instance {
     ) -> Result<Self, Error> {
         let (unit, description, token) = build(factory, &environment)?;
         if token != given_token {
-            return Err(Error::Token {
-                given: given_token.to_owned(),
-                expected: token,
-            });
+            return Err(Error::Token { given: given_token.to_owned(), expected: token });
         }
         Ok(Instance {
             table: Table::new(&description),
@@ -283,15 +259,9 @@ impl Instance {
     ) -> Answer {
         let rule = function.rule();
         let result = if let Some(reason) = rule.unsupported {
-            Err(Error::Unsupported {
-                function: rule.name,
-                reason,
-            })
+            Err(Error::Unsupported { function: rule.name, reason })
         } else if !function.is_legal_in(self.mode) {
-            Err(Error::IllegalCall {
-                function: rule.name,
-                mode: self.mode,
-            })
+            Err(Error::IllegalCall { function: rule.name, mode: self.mode })
         } else {
             guard(|| body(self).map(Into::into))
         };
@@ -301,20 +271,12 @@ impl Instance {
                 if let (Next::To(mode), true) = (rule.next, self.mode != Mode::Failed) {
                     self.mode = mode;
                 }
-                if warned {
-                    Severity::Warning
-                } else {
-                    Severity::Ok
-                }
+                if warned { Severity::Warning } else { Severity::Ok }
             }
             Ok(Reply::Discard(reason)) => {
                 let category = "logStatusDiscard".to_owned();
                 if self.filter.0.get(&category) == Some(&true) {
-                    messages.push(LogEntry {
-                        severity: Severity::Discard,
-                        category,
-                        text: reason,
-                    });
+                    messages.push(LogEntry { severity: Severity::Discard, category, text: reason });
                 }
                 Severity::Discard
             }
@@ -335,13 +297,7 @@ impl Instance {
     fn drain(&mut self) -> (Vec<LogEntry>, bool) {
         let queue = self.environment.log.drain();
         let warned = queue.iter().any(|m| m.warning);
-        (
-            queue
-                .into_iter()
-                .filter_map(|m| self.filter.pass(m))
-                .collect(),
-            warned,
-        )
+        (queue.into_iter().filter_map(|m| self.filter.pass(m)).collect(), warned)
     }
 
     /// What the unit has said outside a call.
@@ -349,11 +305,7 @@ impl Instance {
         self.drain().0
     }
 
-    pub(crate) fn set_debug_logging(
-        &mut self,
-        on: bool,
-        categories: &[String],
-    ) -> Result<(), Error> {
+    pub(crate) fn set_debug_logging(&mut self, on: bool, categories: &[String]) -> Result<(), Error> {
         if let Some(unknown) = categories.iter().find(|c| !self.filter.0.contains_key(*c)) {
             return Err(Error::Argument {
                 argument: "categories",
@@ -370,19 +322,12 @@ impl Instance {
     }
 
     pub(crate) fn enter_initialization(&mut self, experiment: Experiment) -> Result<(), Error> {
-        let Experiment {
-            start,
-            stop,
-            tolerance,
-        } = experiment;
+        let Experiment { start, stop, tolerance } = experiment;
         if !start.is_finite() {
             return Err(argument("startTime", format!("is {start}")));
         }
         if let Some(stop) = stop.filter(|stop| stop.is_nan() || *stop < start) {
-            return Err(argument(
-                "stopTime",
-                format!("is {stop}, before the start at {start}"),
-            ));
+            return Err(argument("stopTime", format!("is {stop}, before the start at {start}")));
         }
         if let Some(tolerance) = tolerance.filter(|t| !t.is_finite() || *t < 0.0) {
             return Err(argument("tolerance", format!("is {tolerance}")));
@@ -399,9 +344,7 @@ impl Instance {
 
     fn evaluate_initial(&mut self) -> Result<(), Error> {
         if self.uninitialized {
-            self.unit
-                .initialize(&self.experiment)
-                .map_err(Error::Unit)?;
+            self.unit.initialize(&self.experiment).map_err(Error::Unit)?;
             self.uninitialized = false;
         }
         Ok(())
@@ -417,10 +360,7 @@ impl Instance {
     pub(crate) fn reset(&mut self) -> Result<(), Error> {
         let (unit, description, token) = build(self.factory, &self.environment)?;
         if token != self.token {
-            return Err(Error::Token {
-                given: self.token.clone(),
-                expected: token,
-            });
+            return Err(Error::Token { given: self.token.clone(), expected: token });
         }
         self.table = Table::new(&description);
         self.description = description;
@@ -436,20 +376,14 @@ impl Instance {
         let end = time + step;
         let tolerance = TIME_TOLERANCE * time.abs().max(end.abs());
         if !(step > 0.0 && end.is_finite()) {
-            return Err(argument(
-                "communicationStepSize",
-                format!("is {step} at time {time}"),
-            ));
+            return Err(argument("communicationStepSize", format!("is {step} at time {time}")));
         }
         if (time - self.time).abs() > tolerance {
             let problem = format!("is {time}, but the unit is at {}", self.time);
             return Err(argument("currentCommunicationPoint", problem));
         }
         if let Some(stop) = self.experiment.stop.filter(|stop| end > stop + tolerance) {
-            return Err(argument(
-                "communicationStepSize",
-                format!("leads to {end}, past the stop time {stop}"),
-            ));
+            return Err(argument("communicationStepSize", format!("leads to {end}, past the stop time {stop}")));
         }
         let finished = match self.unit.step(time, step).map_err(Error::Unit)? {
             StepOutcome::Discarded(reason) => return Ok(Err(reason)),
@@ -465,30 +399,19 @@ impl Instance {
     }
 
     fn variable(&self, reference: Reference) -> Result<&Variable, Error> {
-        self.table
-            .get(reference)
-            .ok_or(Error::UnknownReference(reference))
+        self.table.get(reference).ok_or(Error::UnknownReference(reference))
     }
 
     fn variable_of_type(&self, reference: Reference, asked: Type) -> Result<&Variable, Error> {
         let variable = self.variable(reference)?;
         if variable.ty.carrier() != asked {
-            return Err(Error::WrongType {
-                name: variable.name.clone(),
-                is: variable.ty,
-                asked,
-            });
+            return Err(Error::WrongType { name: variable.name.clone(), is: variable.ty, asked });
         }
         Ok(variable)
     }
 
     /// Checks type and total size of variables before anything is done with them.
-    pub(crate) fn expect(
-        &self,
-        references: &[Reference],
-        ty: Type,
-        given: usize,
-    ) -> Result<(), Error> {
+    pub(crate) fn expect(&self, references: &[Reference], ty: Type, given: usize) -> Result<(), Error> {
         let mut expected = 0usize;
         for &reference in references {
             expected = expected.saturating_add(self.variable_of_type(reference, ty)?.size());
@@ -504,36 +427,23 @@ impl Instance {
         if references.len() > NAMES_SHOWN {
             names.push(format!("and {} more", references.len() - NAMES_SHOWN));
         }
-        Err(Error::WrongLength {
-            expected,
-            given,
-            names: names.join(", "),
-        })
+        Err(Error::WrongLength { expected, given, names: names.join(", ") })
     }
 
     /// Gets variables; lengths have been checked by [`Instance::expect`].
-    pub(crate) fn get<T: Value>(
-        &mut self,
-        references: &[Reference],
-        values: &mut [T],
-    ) -> Result<(), Error> {
+    pub(crate) fn get<T: Value>(&mut self, references: &[Reference], values: &mut [T]) -> Result<(), Error> {
         if self.mode == Mode::Initialization && references.iter().any(|r| self.is_result(*r)) {
             self.evaluate_initial()?;
         }
         let mut rest = values;
         for &reference in references {
-            let variable = self
-                .table
-                .get(reference)
-                .ok_or(Error::UnknownReference(reference))?;
+            let variable = self.table.get(reference).ok_or(Error::UnknownReference(reference))?;
             let (part, tail) = rest.split_at_mut(variable.size());
             rest = tail;
             if reference == TIME {
                 T::wrap_mut(part).write(&[self.time]).map_err(Error::Unit)?;
             } else {
-                self.unit
-                    .get(reference, T::wrap_mut(part))
-                    .map_err(Error::Unit)?;
+                self.unit.get(reference, T::wrap_mut(part)).map_err(Error::Unit)?;
             }
         }
         Ok(())
@@ -541,19 +451,11 @@ impl Instance {
 
     /// Whether the initial equations compute the variable.
     fn is_result(&self, reference: Reference) -> bool {
-        reference != TIME
-            && self
-                .table
-                .get(reference)
-                .is_none_or(|v| !is_settable(v, Mode::Initialization))
+        reference != TIME && self.table.get(reference).is_none_or(|v| !is_settable(v, Mode::Initialization))
     }
 
     /// Sets variables; lengths have been checked by [`Instance::expect`]. All or none.
-    pub(crate) fn set<T: Value>(
-        &mut self,
-        references: &[Reference],
-        values: &[T],
-    ) -> Result<(), Error> {
+    pub(crate) fn set<T: Value>(&mut self, references: &[Reference], values: &[T]) -> Result<(), Error> {
         let mut rest = values;
         let mut parts = Vec::with_capacity(references.len());
         for &reference in references {
@@ -561,11 +463,7 @@ impl Instance {
             if !is_settable(variable, self.mode) {
                 return Err(Error::NotSettable {
                     name: variable.name.clone(),
-                    causality: format!(
-                        "{} {}",
-                        variable.variability.name(),
-                        variable.causality.name()
-                    ),
+                    causality: format!("{} {}", variable.variability.name(), variable.causality.name()),
                     mode: self.mode,
                 });
             }
@@ -574,52 +472,27 @@ impl Instance {
             if let (Type::Enumeration, Values::Int64(items)) = (variable.ty, T::wrap(part))
                 && let Some(&value) = items.iter().find(|v| !self.table.has_item(variable, **v))
             {
-                return Err(Error::NoItem {
-                    name: variable.name.clone(),
-                    value,
-                });
+                return Err(Error::NoItem { name: variable.name.clone(), value });
             }
             parts.push((reference, part));
         }
         for (reference, part) in parts {
-            self.unit
-                .set(reference, T::wrap(part))
-                .map_err(Error::Unit)?;
+            self.unit.set(reference, T::wrap(part)).map_err(Error::Unit)?;
         }
         self.uninitialized |= self.mode == Mode::Initialization;
         Ok(())
     }
 
-    fn require(
-        &self,
-        capability: bool,
-        function: Function,
-        reason: &'static str,
-    ) -> Result<(), Error> {
-        if capability {
-            Ok(())
-        } else {
-            Err(Error::Unsupported {
-                function: function.rule().name,
-                reason,
-            })
-        }
+    fn require(&self, capability: bool, function: Function, reason: &'static str) -> Result<(), Error> {
+        if capability { Ok(()) } else { Err(Error::Unsupported { function: function.rule().name, reason }) }
     }
 
     fn require_state(&self, function: Function) -> Result<(), Error> {
-        self.require(
-            self.description.capabilities.state,
-            function,
-            "the unit cannot save its state",
-        )
+        self.require(self.description.capabilities.state, function, "the unit cannot save its state")
     }
 
     fn require_serialize(&self, function: Function) -> Result<(), Error> {
-        self.require(
-            self.description.capabilities.serialize,
-            function,
-            "the unit cannot serialise its state",
-        )
+        self.require(self.description.capabilities.serialize, function, "the unit cannot serialise its state")
     }
 
     /// Saves the state, in place of state `old` if there is one.
@@ -629,31 +502,15 @@ impl Instance {
             return Err(Error::UnknownState);
         }
         let unit = self.unit.save().map_err(Error::Unit)?;
-        Ok(self.keep(
-            old,
-            SavedState {
-                header: self.header(),
-                unit,
-                bytes: None,
-            },
-        ))
+        Ok(self.keep(old, SavedState { header: self.header(), unit, bytes: None }))
     }
 
     fn header(&self) -> Header {
-        Header {
-            mode: self.mode,
-            uninitialized: self.uninitialized,
-            time: self.time,
-            experiment: self.experiment,
-        }
+        Header { mode: self.mode, uninitialized: self.uninitialized, time: self.time, experiment: self.experiment }
     }
 
     fn keep(&mut self, old: StateKey, state: SavedState) -> StateKey {
-        let key = if old == 0 {
-            NEXT_STATE.fetch_add(1, Ordering::Relaxed)
-        } else {
-            old
-        };
+        let key = if old == 0 { NEXT_STATE.fetch_add(1, Ordering::Relaxed) } else { old };
         self.states.insert(key, state);
         key
     }
@@ -661,9 +518,7 @@ impl Instance {
     pub(crate) fn restore(&mut self, key: StateKey) -> Result<(), Error> {
         self.require_state(Function::SetFMUState)?;
         let state = self.states.get(&key).ok_or(Error::UnknownState)?;
-        self.unit
-            .restore(state.unit.as_ref())
-            .map_err(Error::Unit)?;
+        self.unit.restore(state.unit.as_ref()).map_err(Error::Unit)?;
         self.mode = state.header.mode;
         self.uninitialized = state.header.uninitialized;
         self.time = state.header.time;
@@ -693,10 +548,7 @@ impl Instance {
         self.require_serialize(Function::SerializeFMUState)?;
         let bytes = self.serialized(key)?;
         if bytes.len() != size {
-            return Err(argument(
-                "size",
-                format!("is {size}, but the state has {} bytes", bytes.len()),
-            ));
+            return Err(argument("size", format!("is {size}, but the state has {} bytes", bytes.len())));
         }
         Ok(bytes)
     }
@@ -706,10 +558,7 @@ impl Instance {
         if let Some(bytes) = state.bytes.take() {
             return Ok(bytes);
         }
-        let unit = self
-            .unit
-            .serialize(state.unit.as_ref())
-            .map_err(Error::Unit)?;
+        let unit = self.unit.serialize(state.unit.as_ref()).map_err(Error::Unit)?;
         Ok(encode(&self.token, &state.header, &unit))
     }
 
@@ -720,14 +569,7 @@ impl Instance {
         }
         let (header, unit) = decode(&self.token, bytes)?;
         let unit = self.unit.deserialize(unit).map_err(Error::Unit)?;
-        Ok(self.keep(
-            old,
-            SavedState {
-                header,
-                unit,
-                bytes: None,
-            },
-        ))
+        Ok(self.keep(old, SavedState { header, unit, bytes: None }))
     }
 
     /// Checks the sizes of a derivative's vectors.
@@ -743,20 +585,12 @@ impl Instance {
         let (unknown_values, known_values) = match direction {
             Direction::Forward => {
                 let function = Function::GetDirectionalDerivative;
-                self.require(
-                    capabilities.directional_derivative,
-                    function,
-                    "the unit has no such derivatives",
-                )?;
+                self.require(capabilities.directional_derivative, function, "the unit has no such derivatives")?;
                 (sensitivity, seed)
             }
             Direction::Adjoint => {
                 let function = Function::GetAdjointDerivative;
-                self.require(
-                    capabilities.adjoint_derivative,
-                    function,
-                    "the unit has no such derivatives",
-                )?;
+                self.require(capabilities.adjoint_derivative, function, "the unit has no such derivatives")?;
                 (seed, sensitivity)
             }
         };
@@ -764,33 +598,20 @@ impl Instance {
         self.expect(knowns, Type::Float64, known_values)
     }
 
-    pub(crate) fn derivative(
-        &mut self,
-        direction: Direction,
-        product: Product<'_>,
-    ) -> Result<(), Error> {
+    pub(crate) fn derivative(&mut self, direction: Direction, product: Product<'_>) -> Result<(), Error> {
         if self.mode == Mode::Initialization {
             self.evaluate_initial()?;
         }
-        self.unit
-            .derivative(direction, product)
-            .map_err(Error::Unit)
+        self.unit.derivative(direction, product).map_err(Error::Unit)
     }
 }
 
 impl LogEntry {
     pub(crate) fn error(text: &str) -> Self {
-        LogEntry {
-            severity: Severity::Error,
-            category: "logStatusError".to_owned(),
-            text: text.to_owned(),
-        }
+        LogEntry { severity: Severity::Error, category: "logStatusError".to_owned(), text: text.to_owned() }
     }
 }
 
 pub(crate) fn argument(argument: &'static str, problem: impl Into<String>) -> Error {
-    Error::Argument {
-        argument,
-        problem: problem.into(),
-    }
+    Error::Argument { argument, problem: problem.into() }
 }

@@ -37,13 +37,8 @@ impl std::fmt::Display for Mode {
 }
 
 impl Mode {
-    pub(crate) const ALL: [Mode; 5] = [
-        Mode::Instantiated,
-        Mode::Initialization,
-        Mode::Step,
-        Mode::Terminated,
-        Mode::Failed,
-    ];
+    pub(crate) const ALL: [Mode; 5] =
+        [Mode::Instantiated, Mode::Initialization, Mode::Step, Mode::Terminated, Mode::Failed];
 }
 
 /// Where a function leads when it succeeds.
@@ -199,8 +194,7 @@ pub(crate) fn is_settable(variable: &Variable, mode: Mode) -> bool {
                 && matches!(variable.initial, Some(Initial::Exact | Initial::Approx))
         }
         Mode::Initialization => {
-            variable.variability != Variability::Constant
-                && variable.initial == Some(Initial::Exact)
+            variable.variability != Variability::Constant && variable.initial == Some(Initial::Exact)
         }
         Mode::Step => match variable.causality {
             Causality::Input => true,
@@ -223,90 +217,43 @@ mod tests {
         for &function in FUNCTIONS {
             let rule = function.rule();
             assert_eq!(rule.name, format!("fmi3{function:?}"));
-            assert!(
-                rule.legal.is_empty() == rule.unsupported.is_some(),
-                "{}",
-                rule.name
-            );
+            assert!(rule.legal.is_empty() == rule.unsupported.is_some(), "{}", rule.name);
         }
     }
 
     #[test]
     fn legal_modes_are_those_of_the_standard() {
-        let legal = |function: Function| {
-            Mode::ALL
-                .iter()
-                .filter(|m| function.is_legal_in(**m))
-                .copied()
-                .collect::<Vec<_>>()
-        };
+        let legal =
+            |function: Function| Mode::ALL.iter().filter(|m| function.is_legal_in(**m)).copied().collect::<Vec<_>>();
         assert_eq!(legal(Function::EnterInitializationMode), [Instantiated]);
         assert_eq!(legal(Function::ExitInitializationMode), [Initialization]);
         assert_eq!(legal(Function::DoStep), [Step]);
         assert_eq!(legal(Function::Terminate), [Step, Mode::Failed]);
-        assert_eq!(
-            legal(Function::GetFloat64),
-            [Instantiated, Initialization, Step, Terminated]
-        );
-        assert_eq!(
-            legal(Function::SetFloat64),
-            [Instantiated, Initialization, Step]
-        );
-        assert_eq!(
-            legal(Function::GetDirectionalDerivative),
-            [Initialization, Step, Terminated]
-        );
+        assert_eq!(legal(Function::GetFloat64), [Instantiated, Initialization, Step, Terminated]);
+        assert_eq!(legal(Function::SetFloat64), [Instantiated, Initialization, Step]);
+        assert_eq!(legal(Function::GetDirectionalDerivative), [Initialization, Step, Terminated]);
         assert!(legal(Function::EnterEventMode).is_empty());
     }
 
     #[test]
     fn a_failed_instance_allows_only_cleaning_up() {
-        let left: Vec<_> = FUNCTIONS
-            .iter()
-            .filter(|f| f.is_legal_in(Mode::Failed))
-            .collect();
-        assert_eq!(
-            left,
-            [
-                &Function::SetDebugLogging,
-                &Function::Terminate,
-                &Function::FreeFMUState
-            ]
-        );
+        let left: Vec<_> = FUNCTIONS.iter().filter(|f| f.is_legal_in(Mode::Failed)).collect();
+        assert_eq!(left, [&Function::SetDebugLogging, &Function::Terminate, &Function::FreeFMUState]);
     }
 
     #[test]
     fn variables_are_settable_by_causality_and_mode() {
-        let settable = |variable: Variable| {
-            Mode::ALL
-                .iter()
-                .filter(|m| is_settable(&variable, **m))
-                .copied()
-                .collect::<Vec<_>>()
-        };
+        let settable =
+            |variable: Variable| Mode::ALL.iter().filter(|m| is_settable(&variable, **m)).copied().collect::<Vec<_>>();
+        assert_eq!(settable(Variable::input(1, "u", Type::Float64).start(0.0)), [Instantiated, Initialization, Step]);
+        assert_eq!(settable(Variable::parameter(1, "p", Type::Float64).start(0.0)), [Instantiated, Initialization]);
         assert_eq!(
-            settable(Variable::input(1, "u", Type::Float64).start(0.0)),
-            [Instantiated, Initialization, Step]
-        );
-        assert_eq!(
-            settable(Variable::parameter(1, "p", Type::Float64).start(0.0)),
-            [Instantiated, Initialization]
-        );
-        assert_eq!(
-            settable(
-                Variable::parameter(1, "p", Type::Float64)
-                    .tunable()
-                    .start(0.0)
-            ),
+            settable(Variable::parameter(1, "p", Type::Float64).tunable().start(0.0)),
             [Instantiated, Initialization, Step]
         );
         assert!(settable(Variable::output(1, "y", Type::Float64)).is_empty());
         assert_eq!(
-            settable(
-                Variable::output(1, "y", Type::Float64)
-                    .initial(Initial::Approx)
-                    .start(0.0)
-            ),
+            settable(Variable::output(1, "y", Type::Float64).initial(Initial::Approx).start(0.0)),
             [Instantiated]
         );
     }

@@ -39,31 +39,19 @@ pub struct Contents {
 /// # Errors
 /// The unit cannot be instantiated, or breaks its description, or a file cannot be read or written.
 pub fn pack<U: Unit>(path: &Path, contents: &Contents) -> Result<String, Error> {
-    let environment = Environment {
-        instance_name: "pack".to_owned(),
-        resources: contents.resources.clone(),
-        log: Log::default(),
-    };
+    let environment =
+        Environment { instance_name: "pack".to_owned(), resources: contents.resources.clone(), log: Log::default() };
     let (mut unit, description, token) = build(factory::<U>, &environment)?;
     guard(|| check_starts(unit.as_mut(), &description))?;
 
     let mut entries = vec![
-        (
-            "modelDescription.xml".to_owned(),
-            model_description(&description, &token).into_bytes(),
-        ),
-        (
-            "documentation/index.html".to_owned(),
-            page(&description, &contents.documentation).into_bytes(),
-        ),
+        ("modelDescription.xml".to_owned(), model_description(&description, &token).into_bytes()),
+        ("documentation/index.html".to_owned(), page(&description, &contents.documentation).into_bytes()),
         (library_name(&description), read(&contents.library)?),
     ];
     if contents.icon.is_some() || !description.terminals.is_empty() {
         let xml = terminals_and_icons(&description, contents.icon.is_some());
-        entries.push((
-            "terminalsAndIcons/terminalsAndIcons.xml".to_owned(),
-            xml.into_bytes(),
-        ));
+        entries.push(("terminalsAndIcons/terminalsAndIcons.xml".to_owned(), xml.into_bytes()));
     }
     if let Some(icon) = &contents.icon {
         entries.push(("terminalsAndIcons/icon.png".to_owned(), icon.clone()));
@@ -81,29 +69,17 @@ pub fn pack<U: Unit>(path: &Path, contents: &Contents) -> Result<String, Error> 
 
 /// `binaries/x86_64-linux/NAME.so`
 fn library_name(description: &Description) -> String {
-    let system = if cfg!(target_os = "macos") {
-        "darwin"
-    } else {
-        std::env::consts::OS
-    };
+    let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
     let arch = std::env::consts::ARCH;
-    format!(
-        "binaries/{arch}-{system}/{}.{}",
-        description.identifier,
-        std::env::consts::DLL_EXTENSION
-    )
+    format!("binaries/{arch}-{system}/{}.{}", description.identifier, std::env::consts::DLL_EXTENSION)
 }
 
 fn write(path: &Path, entries: &[(String, Vec<u8>)]) -> Result<(), Error> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let part = path.with_file_name(name);
-    let written = write_entries(&part, entries).and_then(|()| {
-        fs::rename(&part, path).map_err(|source| Error::File {
-            path: path.to_owned(),
-            source,
-        })
-    });
+    let written = write_entries(&part, entries)
+        .and_then(|()| fs::rename(&part, path).map_err(|source| Error::File { path: path.to_owned(), source }));
     if written.is_err() {
         // The first error is the one to report; the file may not even exist.
         let _ = fs::remove_file(&part);
@@ -112,20 +88,13 @@ fn write(path: &Path, entries: &[(String, Vec<u8>)]) -> Result<(), Error> {
 }
 
 fn write_entries(path: &Path, entries: &[(String, Vec<u8>)]) -> Result<(), Error> {
-    let failed = |source| Error::File {
-        path: path.to_owned(),
-        source,
-    };
+    let failed = |source| Error::File { path: path.to_owned(), source };
     let mut archive = ZipWriter::new(File::create(path).map_err(failed)?);
     for (name, bytes) in entries {
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Deflated)
             .last_modified_time(DateTime::default())
-            .unix_permissions(if name.starts_with("binaries/") {
-                0o755
-            } else {
-                0o644
-            })
+            .unix_permissions(if name.starts_with("binaries/") { 0o755 } else { 0o644 })
             .large_file(bytes.len() > u32::MAX as usize);
         archive.start_file(name.as_str(), options)?;
         archive.write_all(bytes).map_err(failed)?;
@@ -134,10 +103,7 @@ fn write_entries(path: &Path, entries: &[(String, Vec<u8>)]) -> Result<(), Error
 }
 
 fn check_starts(unit: &mut dyn AnyUnit, description: &Description) -> Result<(), Error> {
-    description
-        .variables
-        .iter()
-        .try_for_each(|variable| check_start(unit, variable))
+    description.variables.iter().try_for_each(|variable| check_start(unit, variable))
 }
 
 fn check_start(unit: &mut dyn AnyUnit, variable: &Variable) -> Result<(), Error> {
@@ -158,12 +124,7 @@ fn check_start(unit: &mut dyn AnyUnit, variable: &Variable) -> Result<(), Error>
 }
 
 /// The casts lose nothing: the description has been checked for range.
-fn same_integer(
-    unit: &mut dyn AnyUnit,
-    variable: &Variable,
-    start: &[i64],
-    ty: Type,
-) -> Result<(), Error> {
+fn same_integer(unit: &mut dyn AnyUnit, variable: &Variable, start: &[i64], ty: Type) -> Result<(), Error> {
     match ty {
         Type::Int8 => same(unit, variable, start, |x| x as i8),
         Type::UInt8 => same(unit, variable, start, |x| x as u8),
@@ -183,8 +144,7 @@ fn same<S: Clone, T: Value + PartialEq + std::fmt::Debug>(
     cast: impl Fn(S) -> T,
 ) -> Result<(), Error> {
     let mut values = vec![T::default(); variable.size()];
-    unit.get(variable.reference, T::wrap_mut(&mut values))
-        .map_err(Error::Unit)?;
+    unit.get(variable.reference, T::wrap_mut(&mut values)).map_err(Error::Unit)?;
     for (i, value) in values.iter().enumerate() {
         let expected = cast(start[i.min(start.len() - 1)].clone());
         // A value that is not equal to itself is NaN, on purpose.
@@ -209,26 +169,10 @@ fn page(description: &Description, text: &str) -> String {
     );
     for v in description.all_variables().filter(|v| v.reference != TIME) {
         let shape: Vec<_> = v.dimensions.iter().map(ToString::to_string).collect();
-        let ty = v
-            .declared_type
-            .clone()
-            .unwrap_or_else(|| format!("{:?}", v.ty));
-        let (unit, about) = (
-            v.unit.as_deref().unwrap_or_default(),
-            v.description.as_str(),
-        );
-        let cells = [
-            v.name.as_str(),
-            &ty,
-            &shape.join(" × "),
-            unit,
-            v.causality.name(),
-            about,
-        ];
-        let cells: String = cells
-            .iter()
-            .map(|cell| format!("<td>{}</td>", escape(*cell)))
-            .collect();
+        let ty = v.declared_type.clone().unwrap_or_else(|| format!("{:?}", v.ty));
+        let (unit, about) = (v.unit.as_deref().unwrap_or_default(), v.description.as_str());
+        let cells = [v.name.as_str(), &ty, &shape.join(" × "), unit, v.causality.name(), about];
+        let cells: String = cells.iter().map(|cell| format!("<td>{}</td>", escape(*cell))).collect();
         let _ = writeln!(page, "<tr>{cells}</tr>");
     }
     page.push_str("</table>\n</body>\n</html>\n");

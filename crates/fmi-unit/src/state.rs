@@ -54,12 +54,7 @@ pub(crate) fn encode(token: &str, header: &Header, unit: &[u8]) -> Vec<u8> {
     bytes.extend_from_slice(MAGIC);
     bytes.push(VERSION);
     bytes.extend_from_slice(&Sha256::digest(token));
-    bytes.push(
-        Mode::ALL
-            .iter()
-            .position(|m| *m == header.mode)
-            .map_or(u8::MAX, |i| i as u8),
-    );
+    bytes.push(Mode::ALL.iter().position(|m| *m == header.mode).map_or(u8::MAX, |i| i as u8));
     bytes.push(header.uninitialized.into());
     bytes.extend_from_slice(&header.time.to_le_bytes());
     bytes.extend_from_slice(&header.experiment.start.to_le_bytes());
@@ -77,10 +72,7 @@ pub(crate) fn encode(token: &str, header: &Header, unit: &[u8]) -> Vec<u8> {
 pub(crate) fn decode<'a>(token: &str, bytes: &'a [u8]) -> Result<(Header, &'a [u8]), StateError> {
     let corrupt = || StateError::Corrupt(bytes.len());
     let (content, hash) = bytes.split_last_chunk::<HASH>().ok_or_else(corrupt)?;
-    if content.len() < HEADER
-        || !content.starts_with(MAGIC)
-        || Sha256::digest(content).as_slice() != hash
-    {
+    if content.len() < HEADER || !content.starts_with(MAGIC) || Sha256::digest(content).as_slice() != hash {
         return Err(corrupt());
     }
     if content[7] != VERSION {
@@ -95,17 +87,9 @@ pub(crate) fn decode<'a>(token: &str, bytes: &'a [u8]) -> Result<(Header, &'a [u
     if take(HASH) != Sha256::digest(token).as_slice() {
         return Err(StateError::OtherModel);
     }
-    let mode = Mode::ALL
-        .get(usize::from(take(1)[0]))
-        .filter(|m| **m != Mode::Failed)
-        .ok_or_else(corrupt)?;
+    let mode = Mode::ALL.get(usize::from(take(1)[0])).filter(|m| **m != Mode::Failed).ok_or_else(corrupt)?;
     let uninitialized = take(1)[0] != 0;
-    let number = |bytes: &[u8]| {
-        bytes
-            .try_into()
-            .map(f64::from_le_bytes)
-            .map_err(|_| corrupt())
-    };
+    let number = |bytes: &[u8]| bytes.try_into().map(f64::from_le_bytes).map_err(|_| corrupt());
     let time = number(take(8))?;
     let start = number(take(8))?;
     let mut optional = || {
@@ -113,20 +97,8 @@ pub(crate) fn decode<'a>(token: &str, bytes: &'a [u8]) -> Result<(Header, &'a [u
         number(take(8)).map(|value| some.then_some(value))
     };
     let (stop, tolerance) = (optional()?, optional()?);
-    let experiment = Experiment {
-        start,
-        stop,
-        tolerance,
-    };
-    Ok((
-        Header {
-            mode: *mode,
-            uninitialized,
-            time,
-            experiment,
-        },
-        rest,
-    ))
+    let experiment = Experiment { start, stop, tolerance };
+    Ok((Header { mode: *mode, uninitialized, time, experiment }, rest))
 }
 
 #[cfg(test)]
@@ -137,11 +109,7 @@ mod tests {
         mode: Mode::Step,
         uninitialized: false,
         time: 1.5,
-        experiment: Experiment {
-            start: 0.25,
-            stop: Some(9.0),
-            tolerance: None,
-        },
+        experiment: Experiment { start: 0.25, stop: Some(9.0), tolerance: None },
     };
 
     fn sealed(change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
@@ -165,28 +133,15 @@ mod tests {
         for i in 0..bytes.len() {
             let mut changed = bytes.clone();
             changed[i] ^= 1;
-            assert_eq!(
-                decode("token", &changed),
-                Err(StateError::Corrupt(bytes.len())),
-                "byte {i}"
-            );
+            assert_eq!(decode("token", &changed), Err(StateError::Corrupt(bytes.len())), "byte {i}");
             assert_eq!(decode("token", &bytes[..i]), Err(StateError::Corrupt(i)));
         }
     }
 
     #[test]
     fn other_versions_and_models_are_refused() {
-        assert_eq!(
-            decode("token", &sealed(|b| b[7] = 2)),
-            Err(StateError::Version { found: 2 })
-        );
-        assert_eq!(
-            decode("other", &sealed(|_| ())),
-            Err(StateError::OtherModel)
-        );
-        assert!(matches!(
-            decode("token", &sealed(|b| b[40] = 99)),
-            Err(StateError::Corrupt(_))
-        ));
+        assert_eq!(decode("token", &sealed(|b| b[7] = 2)), Err(StateError::Version { found: 2 }));
+        assert_eq!(decode("other", &sealed(|_| ())), Err(StateError::OtherModel));
+        assert!(matches!(decode("token", &sealed(|b| b[40] = 99)), Err(StateError::Corrupt(_))));
     }
 }

@@ -31,11 +31,7 @@ pub fn token(description: &Description, resources: Option<&Path>) -> Result<Stri
             part(&read(&folder.join(&name))?);
         }
     }
-    Ok(hash
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect())
+    Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// The files below `folder`, sorted, with `/` between folders; none if there is no such folder.
@@ -49,10 +45,7 @@ pub(crate) fn files(folder: &Path) -> Result<Vec<String>, Error> {
 }
 
 fn collect(folder: &Path, prefix: &str, found: &mut Vec<String>) -> Result<(), Error> {
-    let failed = |source| Error::File {
-        path: folder.to_owned(),
-        source,
-    };
+    let failed = |source| Error::File { path: folder.to_owned(), source };
     for entry in fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
@@ -70,8 +63,5 @@ fn collect(folder: &Path, prefix: &str, found: &mut Vec<String>) -> Result<(), E
 }
 
 pub(crate) fn read(path: &PathBuf) -> Result<Vec<u8>, Error> {
-    fs::read(path).map_err(|source| Error::File {
-        path: path.clone(),
-        source,
-    })
+    fs::read(path).map_err(|source| Error::File { path: path.clone(), source })
 }

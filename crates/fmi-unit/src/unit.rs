@@ -191,21 +191,13 @@ const MOST_MESSAGES: usize = 1000;
 impl Log {
     /// Informs.
     pub fn info(&self, category: &str, text: impl Into<String>) {
-        self.push(Message {
-            warning: false,
-            category: category.to_owned(),
-            text: text.into(),
-        });
+        self.push(Message { warning: false, category: category.to_owned(), text: text.into() });
     }
 
     /// Warns: the call in progress will return `fmi3Warning`.
     pub fn warn(&self, text: impl Into<String>) {
         let category = "logStatusWarning".to_owned();
-        self.push(Message {
-            warning: true,
-            category,
-            text: text.into(),
-        });
+        self.push(Message { warning: true, category, text: text.into() });
     }
 
     fn push(&self, message: Message) {

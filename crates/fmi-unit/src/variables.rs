@@ -38,11 +38,7 @@ impl Type {
 
     /// The type of the C functions that carry it.
     pub(crate) fn carrier(self) -> Type {
-        if self == Type::Enumeration {
-            Type::Int64
-        } else {
-            self
-        }
+        if self == Type::Enumeration { Type::Int64 } else { self }
     }
 }
 
@@ -171,9 +167,9 @@ impl Start {
         }
         match (self, ty) {
             (Start::Float(_), Type::Float64) => true,
-            (Start::Float(v), Type::Float32) => v
-                .iter()
-                .all(|&x| x.is_infinite() || (x as f32).is_finite() || x.is_nan()),
+            (Start::Float(v), Type::Float32) => {
+                v.iter().all(|&x| x.is_infinite() || (x as f32).is_finite() || x.is_nan())
+            }
             (Start::Integer(v), Type::Int8) => all::<_, i8>(v),
             (Start::Integer(v), Type::Int16) => all::<_, i16>(v),
             (Start::Integer(v), Type::Int32) => all::<_, i32>(v),
@@ -217,24 +213,14 @@ pub struct Variable {
 }
 
 impl Variable {
-    fn new(
-        reference: Reference,
-        name: &str,
-        ty: Type,
-        causality: Causality,
-        initial: Option<Initial>,
-    ) -> Self {
+    fn new(reference: Reference, name: &str, ty: Type, causality: Causality, initial: Option<Initial>) -> Self {
         Variable {
             reference,
             name: name.to_owned(),
             ty,
             declared_type: None,
             causality,
-            variability: if ty.is_float() {
-                Variability::Continuous
-            } else {
-                Variability::Discrete
-            },
+            variability: if ty.is_float() { Variability::Continuous } else { Variability::Discrete },
             initial,
             dimensions: Vec::new(),
             unit: None,
@@ -255,50 +241,27 @@ impl Variable {
 
     /// A variable that the unit computes.
     pub fn output(reference: Reference, name: &str, ty: Type) -> Self {
-        Variable::new(
-            reference,
-            name,
-            ty,
-            Causality::Output,
-            Some(Initial::Calculated),
-        )
+        Variable::new(reference, name, ty, Causality::Output, Some(Initial::Calculated))
     }
 
     /// A value that the host may change before initialisation. It needs a start value.
     pub fn parameter(reference: Reference, name: &str, ty: Type) -> Self {
-        let mut parameter = Variable::new(
-            reference,
-            name,
-            ty,
-            Causality::Parameter,
-            Some(Initial::Exact),
-        );
+        let mut parameter = Variable::new(reference, name, ty, Causality::Parameter, Some(Initial::Exact));
         parameter.variability = Variability::Fixed;
         parameter
     }
 
     /// A value that the unit computes once, from its parameters.
     pub fn calculated_parameter(reference: Reference, name: &str, ty: Type) -> Self {
-        let mut parameter = Variable::new(
-            reference,
-            name,
-            ty,
-            Causality::CalculatedParameter,
-            Some(Initial::Calculated),
-        );
+        let mut parameter =
+            Variable::new(reference, name, ty, Causality::CalculatedParameter, Some(Initial::Calculated));
         parameter.variability = Variability::Fixed;
         parameter
     }
 
     /// A variable that the host may look at but should not connect.
     pub fn local(reference: Reference, name: &str, ty: Type) -> Self {
-        Variable::new(
-            reference,
-            name,
-            ty,
-            Causality::Local,
-            Some(Initial::Calculated),
-        )
+        Variable::new(reference, name, ty, Causality::Local, Some(Initial::Calculated))
     }
 
     pub(crate) fn time() -> Self {
@@ -413,11 +376,7 @@ impl Variable {
 
     pub(crate) fn is_initial_unknown(&self) -> bool {
         let computed = matches!(self.initial, Some(Initial::Approx | Initial::Calculated));
-        computed
-            && matches!(
-                self.causality,
-                Causality::Output | Causality::CalculatedParameter
-            )
+        computed && matches!(self.causality, Causality::Output | Causality::CalculatedParameter)
     }
 }
 
@@ -443,21 +402,12 @@ impl Table {
     pub(crate) fn new(description: &Description) -> Self {
         let variables: Vec<_> = description.all_variables().collect();
         Table {
-            index: variables
-                .iter()
-                .enumerate()
-                .map(|(i, v)| (v.reference, i))
-                .collect(),
+            index: variables.iter().enumerate().map(|(i, v)| (v.reference, i)).collect(),
             variables,
             items: description
                 .enumerations
                 .iter()
-                .map(|e| {
-                    (
-                        e.name.clone(),
-                        e.items.iter().map(|item| item.value).collect(),
-                    )
-                })
+                .map(|e| (e.name.clone(), e.items.iter().map(|item| item.value).collect()))
                 .collect(),
         }
     }
@@ -469,9 +419,7 @@ impl Table {
     /// Whether `value` is an item of the enumeration of `variable`.
     pub(crate) fn has_item(&self, variable: &Variable, value: i64) -> bool {
         let name = variable.declared_type.as_deref().unwrap_or_default();
-        self.items
-            .get(name)
-            .is_some_and(|items| items.contains(&value))
+        self.items.get(name).is_some_and(|items| items.contains(&value))
     }
 }
 
@@ -483,10 +431,7 @@ pub(crate) fn problems(description: &Description) -> Vec<Problem> {
     let all: Vec<_> = description.all_variables().collect();
     for variable in &all {
         let mut report = |problem: String| {
-            problems.push(Problem {
-                place: format!("variable `{}`", variable.name),
-                problem,
-            });
+            problems.push(Problem { place: format!("variable `{}`", variable.name), problem });
         };
         if !names.insert(&variable.name) {
             report("the name is used twice".to_owned());
@@ -495,22 +440,14 @@ pub(crate) fn problems(description: &Description) -> Vec<Problem> {
             report("the name does not follow the structured naming convention".to_owned());
         }
         if !references.insert(variable.reference) {
-            report(format!(
-                "the reference {} is used twice ({TIME} is that of `time`)",
-                variable.reference
-            ));
+            report(format!("the reference {} is used twice ({TIME} is that of `time`)", variable.reference));
         }
         check_kind(variable, &mut report);
         check_start(variable, &mut report);
         if variable.dimensions.contains(&0) {
             report("an array of size 0 is not allowed: leave the variable out".to_owned());
         }
-        if variable
-            .dimensions
-            .iter()
-            .try_fold(8usize, |n, &d| n.checked_mul(d))
-            .is_none()
-        {
+        if variable.dimensions.iter().try_fold(8usize, |n, &d| n.checked_mul(d)).is_none() {
             report("the array is too large to address".to_owned());
         }
         if let Some(unit) = &variable.unit {
@@ -534,15 +471,9 @@ pub(crate) fn problems(description: &Description) -> Vec<Problem> {
         }
         if let Some(reference) = variable.derivative_of {
             match all.iter().find(|v| v.reference == reference) {
-                Some(state)
-                    if state.ty == variable.ty && state.dimensions == variable.dimensions => {}
-                Some(state) => report(format!(
-                    "`{}` has another type or shape than its derivative",
-                    state.name
-                )),
-                None => report(format!(
-                    "it is the derivative of the unknown reference {reference}"
-                )),
+                Some(state) if state.ty == variable.ty && state.dimensions == variable.dimensions => {}
+                Some(state) => report(format!("`{}` has another type or shape than its derivative", state.name)),
+                None => report(format!("it is the derivative of the unknown reference {reference}")),
             }
         }
     }
@@ -557,18 +488,10 @@ fn check_kind(variable: &Variable, report: &mut impl FnMut(String)) {
     let legal = matches!(
         (variable.causality, variable.variability, variable.initial),
         (C::Parameter, V::Fixed | V::Tunable, Some(I::Exact))
-            | (
-                C::CalculatedParameter,
-                V::Fixed | V::Tunable,
-                Some(I::Calculated | I::Approx)
-            )
+            | (C::CalculatedParameter, V::Fixed | V::Tunable, Some(I::Calculated | I::Approx))
             | (C::Input, V::Discrete | V::Continuous, Some(I::Exact))
             | (C::Output | C::Local, V::Constant, Some(I::Exact))
-            | (
-                C::Local,
-                V::Fixed | V::Tunable,
-                Some(I::Calculated | I::Approx)
-            )
+            | (C::Local, V::Fixed | V::Tunable, Some(I::Calculated | I::Approx))
             | (C::Output | C::Local, V::Discrete | V::Continuous, Some(_))
             | (C::Independent, V::Continuous, None)
     );
@@ -592,17 +515,10 @@ fn check_start(variable: &Variable, report: &mut impl FnMut(String)) {
         Some(_) if !needed => report("it is calculated and cannot have a start value".to_owned()),
         Some(start) => {
             if !start.fits(variable.ty) {
-                report(format!(
-                    "the start value does not fit the type {:?}",
-                    variable.ty
-                ));
+                report(format!("the start value does not fit the type {:?}", variable.ty));
             }
             if start.len() != 1 && start.len() != variable.size() {
-                report(format!(
-                    "{} start values for {} elements",
-                    start.len(),
-                    variable.size()
-                ));
+                report(format!("{} start values for {} elements", start.len(), variable.size()));
             }
             if let Start::String(values) = start
                 && values.iter().any(|v| v.contains('\0'))
@@ -614,11 +530,7 @@ fn check_start(variable: &Variable, report: &mut impl FnMut(String)) {
     }
 }
 
-fn check_enumeration(
-    variable: &Variable,
-    description: &Description,
-    report: &mut impl FnMut(String),
-) {
+fn check_enumeration(variable: &Variable, description: &Description, report: &mut impl FnMut(String)) {
     let Some(name) = &variable.declared_type else {
         return report("the enumeration is not named".to_owned());
     };
@@ -645,10 +557,8 @@ fn is_structured_name(name: &str) -> bool {
             None => (part, None),
         };
         is_identifier(identifier)
-            && indices.is_none_or(|list| {
-                list.split(',')
-                    .all(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
-            })
+            && indices
+                .is_none_or(|list| list.split(',').all(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit())))
     })
 }
 
@@ -667,10 +577,7 @@ mod tests {
             .units([UnitDefinition::new("K").kelvin(1)])
             .enumerations([Enumeration::new("Phase").item("solid", 1).item("liquid", 2)])
             .variables(variables);
-        problems(&description)
-            .iter()
-            .map(ToString::to_string)
-            .collect()
+        problems(&description).iter().map(ToString::to_string).collect()
     }
 
     #[track_caller]
@@ -682,17 +589,11 @@ mod tests {
     #[test]
     fn a_sound_table_has_no_problems() {
         let found = problems_of(vec![
-            Variable::input(1, "bars.heat", Type::Float64)
-                .dimensions(&[2, 3])
-                .start(vec![0.0; 6]),
-            Variable::output(2, "bars.temperature[1]", Type::Float64)
-                .unit("K")
-                .depends_on(&[1]),
+            Variable::input(1, "bars.heat", Type::Float64).dimensions(&[2, 3]).start(vec![0.0; 6]),
+            Variable::output(2, "bars.temperature[1]", Type::Float64).unit("K").depends_on(&[1]),
             Variable::output(3, "bars.phase", Type::Int64).enumeration("Phase"),
             Variable::parameter(4, "n", Type::UInt8).start(255),
-            Variable::output(5, "version", Type::String)
-                .constant()
-                .start("1"),
+            Variable::output(5, "version", Type::String).constant().start("1"),
         ]);
         assert!(found.is_empty(), "{found:?}");
     }
@@ -712,50 +613,18 @@ mod tests {
         assert_problem(float("a b"), "naming convention");
         assert_problem(float("a[1"), "naming convention");
         assert_problem(float("a").dimensions(&[0]), "size 0");
-        assert_problem(
-            float("a").dimensions(&[usize::MAX, 2]).start(0.0),
-            "too large",
-        );
-        assert_problem(
-            float("a").dimensions(&[3]).start(vec![0.0; 2]),
-            "2 start values for 3 elements",
-        );
+        assert_problem(float("a").dimensions(&[usize::MAX, 2]).start(0.0), "too large");
+        assert_problem(float("a").dimensions(&[3]).start(vec![0.0; 2]), "2 start values for 3 elements");
         assert_problem(float("a").start(1), "does not fit");
-        assert_problem(
-            Variable::parameter(1, "a", Type::Int8).start(128),
-            "does not fit",
-        );
-        assert_problem(
-            Variable::output(1, "a", Type::Float64).start(1.0),
-            "cannot have a start value",
-        );
-        assert_problem(
-            Variable::input(1, "a", Type::Float64),
-            "needs a start value",
-        );
+        assert_problem(Variable::parameter(1, "a", Type::Int8).start(128), "does not fit");
+        assert_problem(Variable::output(1, "a", Type::Float64).start(1.0), "cannot have a start value");
+        assert_problem(Variable::input(1, "a", Type::Float64), "needs a start value");
         assert_problem(float("a").tunable(), "input cannot be tunable");
-        assert_problem(
-            float("a").initial(Initial::Approx),
-            "input cannot be continuous with approx",
-        );
+        assert_problem(float("a").initial(Initial::Approx), "input cannot be continuous with approx");
         assert_problem(float("a").depends_on(&[9]), "unknown reference 9");
-        assert_problem(
-            Variable::output(1, "a", Type::Int64).enumeration("Colour"),
-            "not defined",
-        );
-        assert_problem(
-            Variable::input(1, "a", Type::Int64)
-                .enumeration("Phase")
-                .start(3),
-            "no item",
-        );
-        assert_problem(
-            Variable::parameter(1, "a", Type::String).start("a\0b"),
-            "NUL",
-        );
-        assert_problem(
-            Variable::parameter(1, "a", Type::Int32).unit("K").start(0),
-            "only floats",
-        );
+        assert_problem(Variable::output(1, "a", Type::Int64).enumeration("Colour"), "not defined");
+        assert_problem(Variable::input(1, "a", Type::Int64).enumeration("Phase").start(3), "no item");
+        assert_problem(Variable::parameter(1, "a", Type::String).start("a\0b"), "NUL");
+        assert_problem(Variable::parameter(1, "a", Type::Int32).unit("K").start(0), "only floats");
     }
 }

@@ -24,10 +24,7 @@ pub fn model_description(description: &Description, token: &str) -> String {
     root.set_text("author", &d.author);
     root.set_text("version", &d.version);
     root.set_text("license", &d.license);
-    root.set(
-        "generationTool",
-        concat!("fmi-unit ", env!("CARGO_PKG_VERSION")),
-    );
+    root.set("generationTool", concat!("fmi-unit ", env!("CARGO_PKG_VERSION")));
     root.set("variableNamingConvention", "structured");
     document(root, |w| {
         w.empty(co_simulation(d));
@@ -48,16 +45,12 @@ pub fn model_description(description: &Description, token: &str) -> String {
                 }
             });
         });
-        w.group(
-            "LogCategories",
-            &d.all_categories().collect::<Vec<_>>(),
-            |w, (name, about)| {
-                let mut a = Attributes::new("Category");
-                a.set("name", name);
-                a.set_text("description", about);
-                w.empty(a);
-            },
-        );
+        w.group("LogCategories", &d.all_categories().collect::<Vec<_>>(), |w, (name, about)| {
+            let mut a = Attributes::new("Category");
+            a.set("name", name);
+            a.set_text("description", about);
+            w.empty(a);
+        });
         if let Some(experiment) = d.experiment {
             let mut a = Attributes::new("DefaultExperiment");
             a.set("startTime", experiment.start);
@@ -68,9 +61,7 @@ pub fn model_description(description: &Description, token: &str) -> String {
         let variables: Vec<_> = d.all_variables().collect();
         w.group("ModelVariables", &variables, write_variable);
         w.parent(Attributes::new("ModelStructure"), |w| {
-            let outputs = variables
-                .iter()
-                .filter(|v| v.causality == Causality::Output);
+            let outputs = variables.iter().filter(|v| v.causality == Causality::Output);
             outputs.for_each(|v| w.empty(unknown("Output", v)));
             let unknowns = variables.iter().filter(|v| v.is_initial_unknown());
             unknowns.for_each(|v| w.empty(unknown("InitialUnknown", v)));
@@ -119,13 +110,7 @@ fn box_of(element: &str) -> Attributes {
 }
 
 fn co_simulation(d: &Description) -> Attributes {
-    let Capabilities {
-        state,
-        serialize,
-        directional_derivative,
-        adjoint_derivative,
-        fixed_step,
-    } = d.capabilities;
+    let Capabilities { state, serialize, directional_derivative, adjoint_derivative, fixed_step } = d.capabilities;
     let mut a = Attributes::new("CoSimulation");
     a.set("modelIdentifier", &d.identifier);
     a.set("canGetAndSetFMUState", state);
@@ -188,22 +173,12 @@ fn write_variable(w: &mut Writer, v: &Variable) {
         }
     }
     let mut elements = Vec::new();
-    match v
-        .start
-        .as_ref()
-        .filter(|_| v.initial != Some(Initial::Calculated))
-    {
+    match v.start.as_ref().filter(|_| v.initial != Some(Initial::Calculated)) {
         None => {}
         Some(Start::Float(values)) if v.ty == Type::Float32 => {
-            a.set(
-                "start",
-                list(&values.iter().map(|x| Float(*x as f32)).collect::<Vec<_>>()),
-            );
+            a.set("start", list(&values.iter().map(|x| Float(*x as f32)).collect::<Vec<_>>()));
         }
-        Some(Start::Float(values)) => a.set(
-            "start",
-            list(&values.iter().map(|x| Float(*x)).collect::<Vec<_>>()),
-        ),
+        Some(Start::Float(values)) => a.set("start", list(&values.iter().map(|x| Float(*x)).collect::<Vec<_>>())),
         Some(Start::Integer(values)) => a.set("start", list(values)),
         Some(Start::Unsigned(values)) => a.set("start", list(values)),
         Some(Start::Boolean(values)) => a.set("start", list(values)),
@@ -257,10 +232,7 @@ struct Attributes {
 
 impl Attributes {
     fn new(name: &str) -> Self {
-        Attributes {
-            name: name.to_owned(),
-            list: Vec::new(),
-        }
+        Attributes { name: name.to_owned(), list: Vec::new() }
     }
 
     fn set(&mut self, name: &str, value: impl Display) {
@@ -277,14 +249,8 @@ impl Attributes {
         let mut start = BytesStart::new(self.name.clone());
         for (name, value) in &self.list {
             // A reader turns bare white space into blanks, so it is written as references.
-            let value = escape(value.as_str())
-                .replace('\n', "&#10;")
-                .replace('\r', "&#13;")
-                .replace('\t', "&#9;");
-            start.push_attribute(Attribute {
-                key: QName(name.as_str()),
-                value: value.into(),
-            });
+            let value = escape(value.as_str()).replace('\n', "&#10;").replace('\r', "&#13;").replace('\t', "&#9;");
+            start.push_attribute(Attribute { key: QName(name.as_str()), value: value.into() });
         }
         start
     }
@@ -303,9 +269,7 @@ fn document(root: Attributes, content: impl FnOnce(&mut Writer)) -> String {
 
 impl Writer {
     fn event(&mut self, event: Event<'_>) {
-        self.0
-            .write_event(event)
-            .expect("writing to memory does not fail");
+        self.0.write_event(event).expect("writing to memory does not fail");
     }
 
     fn empty(&mut self, attributes: Attributes) {
@@ -321,9 +285,7 @@ impl Writer {
     /// An element around `items`, left out if there are none.
     fn group<T>(&mut self, name: &str, items: &[T], each: impl Fn(&mut Writer, &T)) {
         if !items.is_empty() {
-            self.parent(Attributes::new(name), |w| {
-                items.iter().for_each(|item| each(w, item))
-            });
+            self.parent(Attributes::new(name), |w| items.iter().for_each(|item| each(w, item)));
         }
     }
 }
@@ -336,17 +298,10 @@ mod tests {
     fn description() -> Description {
         Description::new("A & B", "ab")
             .about("two\nlines")
-            .units([UnitDefinition::new("bar")
-                .kilogram(1)
-                .metre(-1)
-                .second(-2)
-                .scaled(1e5, 0.0)])
+            .units([UnitDefinition::new("bar").kilogram(1).metre(-1).second(-2).scaled(1e5, 0.0)])
             .enumerations([Enumeration::new("Phase").item("solid", 1)])
             .variables([
-                Variable::input(1, "u", Type::Float64)
-                    .unit("bar")
-                    .dimensions(&[3])
-                    .start(vec![0.1, -1e300, 3.0]),
+                Variable::input(1, "u", Type::Float64).unit("bar").dimensions(&[3]).start(vec![0.1, -1e300, 3.0]),
                 Variable::output(2, "y", Type::Float64).depends_on(&[1]),
                 Variable::output(3, "phase", Type::Int64).enumeration("Phase"),
                 Variable::parameter(4, "names", Type::String)
@@ -359,10 +314,7 @@ mod tests {
 
     #[test]
     fn the_same_description_gives_the_same_bytes() {
-        assert_eq!(
-            model_description(&description(), "t"),
-            model_description(&description(), "t")
-        );
+        assert_eq!(model_description(&description(), "t"), model_description(&description(), "t"));
     }
 
     #[test]
@@ -383,19 +335,13 @@ mod tests {
             assert!(xml.contains(expected), "{expected} is not in\n{xml}");
         }
         let terminals = terminals_and_icons(&description(), true);
-        assert!(
-            terminals.contains(r#"memberName="pressure" variableName="u""#),
-            "{terminals}"
-        );
+        assert!(terminals.contains(r#"memberName="pressure" variableName="u""#), "{terminals}");
     }
 
     #[test]
     fn floats_keep_their_bits() {
         for value in [0.1, 1e-300, 123456789.123, -0.0, 1.0 / 3.0, f64::MAX] {
-            assert_eq!(
-                Float(value).to_string().parse::<f64>().unwrap().to_bits(),
-                value.to_bits()
-            );
+            assert_eq!(Float(value).to_string().parse::<f64>().unwrap().to_bits(), value.to_bits());
         }
         assert_eq!(Float(0.1f32).to_string(), "0.1");
         assert_eq!(Float(f64::NEG_INFINITY).to_string(), "-INF");

@@ -7,18 +7,11 @@ use std::ptr;
 use std::sync::atomic::{AtomicPtr, AtomicU8, Ordering};
 
 use fmi_unit::ffi::*;
-use fmi_unit::{
-    Description, Environment, Reference, StepOutcome, Type, Unit, UnitError, ValuesMut, Variable,
-};
+use fmi_unit::{Description, Environment, Reference, StepOutcome, Type, Unit, UnitError, ValuesMut, Variable};
 use support::*;
 
 fn last(messages: &Messages) -> String {
-    messages
-        .lock()
-        .unwrap()
-        .last()
-        .map(|m| m.2.clone())
-        .unwrap_or_default()
+    messages.lock().unwrap().last().map(|m| m.2.clone()).unwrap_or_default()
 }
 
 /// Expects an error whose message contains `text`, and resets.
@@ -36,96 +29,26 @@ fn bad_arguments_are_refused_with_a_message() {
     let i = instantiate(&messages);
     let mut one = [0.0];
     refused(&messages, i, get(i, 99, &mut one), "value reference 99");
-    refused(
-        &messages,
-        i,
-        get(i, 1, &mut one),
-        "1 values were given for 3",
-    );
-    refused(
-        &messages,
-        i,
-        get(i, 2, &mut one),
-        "`enabled` is of type Boolean",
-    );
-    refused(
-        &messages,
-        i,
-        set(i, 5, &one),
-        "`hottest` (continuous output) cannot be set",
-    );
+    refused(&messages, i, get(i, 1, &mut one), "1 values were given for 3");
+    refused(&messages, i, get(i, 2, &mut one), "`enabled` is of type Boolean");
+    refused(&messages, i, set(i, 5, &one), "`hottest` (continuous output) cannot be set");
     refused(&messages, i, set(i, 0, &one), "`time`");
     refused(&messages, i, set_fault(i, 7), "no enumeration item 7");
-    refused(
-        &messages,
-        i,
-        step(i, 0.0, 1.0),
-        "fmi3DoStep is not allowed in mode Instantiated",
-    );
+    refused(&messages, i, step(i, 0.0, 1.0), "fmi3DoStep is not allowed in mode Instantiated");
     // SAFETY: null and misaligned pointers are what is tested, and they are not dereferenced.
     unsafe {
-        refused(
-            &messages,
-            i,
-            fmi3GetFloat64(i, ptr::null(), 1, one.as_mut_ptr(), 1),
-            "valueReferences is NULL",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3GetFloat64(i, &5, 1, ptr::null_mut(), 1),
-            "values is NULL",
-        );
+        refused(&messages, i, fmi3GetFloat64(i, ptr::null(), 1, one.as_mut_ptr(), 1), "valueReferences is NULL");
+        refused(&messages, i, fmi3GetFloat64(i, &5, 1, ptr::null_mut(), 1), "values is NULL");
         let odd = ptr::without_provenance_mut(9);
-        refused(
-            &messages,
-            i,
-            fmi3GetFloat64(i, &5, 1, odd, 1),
-            "not aligned",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3GetFloat64(i, &5, usize::MAX, one.as_mut_ptr(), 1),
-            "impossible length",
-        );
+        refused(&messages, i, fmi3GetFloat64(i, &5, 1, odd, 1), "not aligned");
+        refused(&messages, i, fmi3GetFloat64(i, &5, usize::MAX, one.as_mut_ptr(), 1), "impossible length");
         let text = c"\xff";
-        refused(
-            &messages,
-            i,
-            fmi3SetString(i, &10, 1, &text.as_ptr().cast(), 1),
-            "not valid UTF-8",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3SetString(i, &10, 1, &ptr::null(), 1),
-            "values is NULL",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3GetFMUState(i, ptr::null_mut()),
-            "FMUState is NULL",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3SetFMUState(i, ptr::without_provenance_mut(0x1230)),
-            "has been freed",
-        );
-        refused(
-            &messages,
-            i,
-            unsupported(i, "fmi3EnterEventMode"),
-            "no event mode",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3SetDebugLogging(i, true.into(), 1, &c"x".as_ptr().cast()),
-            "no category",
-        );
+        refused(&messages, i, fmi3SetString(i, &10, 1, &text.as_ptr().cast(), 1), "not valid UTF-8");
+        refused(&messages, i, fmi3SetString(i, &10, 1, &ptr::null(), 1), "values is NULL");
+        refused(&messages, i, fmi3GetFMUState(i, ptr::null_mut()), "FMUState is NULL");
+        refused(&messages, i, fmi3SetFMUState(i, ptr::without_provenance_mut(0x1230)), "has been freed");
+        refused(&messages, i, unsupported(i, "fmi3EnterEventMode"), "no event mode");
+        refused(&messages, i, fmi3SetDebugLogging(i, true.into(), 1, &c"x".as_ptr().cast()), "no category");
     }
     free(i);
 }
@@ -157,39 +80,21 @@ fn instances_that_cannot_be_are_null_with_a_message() {
 
     let changed = tempfile::tempdir().unwrap();
     std::fs::write(changed.path().join("size.txt"), "3 5").unwrap();
-    assert!(
-        instantiate_with::<HeatedBars>(&messages, &good, changed.path().into(), false).is_null()
-    );
+    assert!(instantiate_with::<HeatedBars>(&messages, &good, changed.path().into(), false).is_null());
     assert!(last(&messages).contains("token"));
     std::fs::write(changed.path().join("size.txt"), "3").unwrap();
-    assert!(
-        instantiate_with::<HeatedBars>(&messages, &good, changed.path().into(), false).is_null()
-    );
+    assert!(instantiate_with::<HeatedBars>(&messages, &good, changed.path().into(), false).is_null());
     assert!(last(&messages).contains("expected two sizes"));
 
     let environment = ptr::from_ref(&messages).cast_mut().cast();
     // SAFETY: null strings and callbacks are allowed to be refused.
     unsafe {
         let (null, no) = (ptr::null(), Flag(0));
-        assert!(
-            fmi3InstantiateModelExchange(null, null, null, no, no, environment, Some(log))
-                .is_null()
-        );
+        assert!(fmi3InstantiateModelExchange(null, null, null, no, no, environment, Some(log)).is_null());
         assert!(last(&messages).contains("for co-simulation"));
         assert!(
-            fmi3InstantiateScheduledExecution(
-                null,
-                null,
-                null,
-                no,
-                no,
-                environment,
-                Some(log),
-                None,
-                None,
-                None
-            )
-            .is_null()
+            fmi3InstantiateScheduledExecution(null, null, null, no, no, environment, Some(log), None, None, None)
+                .is_null()
         );
         let no_log = ptr::null_mut();
         assert!(
@@ -220,11 +125,7 @@ fn a_panic_ends_one_instance_and_no_other() {
     initialize(sound);
     assert_eq!(set_fault(broken, 1), Status::OK);
     assert_eq!(step(broken, 0.0, 1.0), Status::Error);
-    assert!(
-        last(&messages).contains("the unit panicked: the bars have a fault"),
-        "{}",
-        last(&messages)
-    );
+    assert!(last(&messages).contains("the unit panicked: the bars have a fault"), "{}", last(&messages));
     assert_eq!(get(broken, 5, &mut [0.0]), Status::Error);
     // SAFETY: handles.
     unsafe {
@@ -287,38 +188,17 @@ fn states_belong_to_their_instance_and_are_overwritten_in_place() {
         let first = state;
         assert_eq!(fmi3GetFMUState(a, &mut state), Status::OK);
         assert_eq!(state, first);
-        refused(
-            &messages,
-            b,
-            fmi3SetFMUState(b, state),
-            "not one of this instance",
-        );
+        refused(&messages, b, fmi3SetFMUState(b, state), "not one of this instance");
         let mut size = 0;
         assert_eq!(fmi3SerializedFMUStateSize(a, state, &mut size), Status::OK);
         let mut bytes = vec![0; size];
-        assert_eq!(
-            fmi3SerializeFMUState(a, state, bytes.as_mut_ptr(), size),
-            Status::OK
-        );
+        assert_eq!(fmi3SerializeFMUState(a, state, bytes.as_mut_ptr(), size), Status::OK);
         let mut copy = ptr::null_mut();
-        assert_eq!(
-            fmi3DeserializeFMUState(b, bytes.as_ptr(), size, &mut copy),
-            Status::OK
-        );
+        assert_eq!(fmi3DeserializeFMUState(b, bytes.as_ptr(), size, &mut copy), Status::OK);
         assert_eq!(fmi3SetFMUState(b, copy), Status::OK);
-        refused(
-            &messages,
-            a,
-            fmi3SerializeFMUState(a, state, bytes.as_mut_ptr(), size - 1),
-            "size is",
-        );
+        refused(&messages, a, fmi3SerializeFMUState(a, state, bytes.as_mut_ptr(), size - 1), "size is");
         bytes[size / 2] ^= 4;
-        refused(
-            &messages,
-            b,
-            fmi3DeserializeFMUState(b, bytes.as_ptr(), size, &mut copy),
-            "corrupt",
-        );
+        refused(&messages, b, fmi3DeserializeFMUState(b, bytes.as_ptr(), size, &mut copy), "corrupt");
     }
     free(a);
     free(b);
@@ -333,49 +213,26 @@ fn discarded_steps_change_nothing_and_warnings_are_passed_on() {
     let (mut before, mut after) = ([0.0; 12], [0.0; 12]);
     get(i, 3, &mut before);
     assert_eq!(step(i, 0.0, 11.0), Status::Discard);
-    assert!(
-        messages
-            .lock()
-            .unwrap()
-            .iter()
-            .any(|m| m.0 == Status::Discard && m.1 == "logStatusDiscard")
-    );
+    assert!(messages.lock().unwrap().iter().any(|m| m.0 == Status::Discard && m.1 == "logStatusDiscard"));
     get(i, 3, &mut after);
     assert_eq!(before, after);
     assert_eq!(set_fault(i, 3), Status::OK);
     assert_eq!(step(i, 0.0, 1.0), Status::Warning);
-    let told = messages
-        .lock()
-        .unwrap()
-        .iter()
-        .find(|m| m.0 == Status::Warning)
-        .cloned()
-        .unwrap();
-    assert_eq!(
-        (told.1.as_str(), told.2.as_str()),
-        ("logStatusWarning", "the bars are about to have a fault ##1")
-    );
+    let told = messages.lock().unwrap().iter().find(|m| m.0 == Status::Warning).cloned().unwrap();
+    assert_eq!((told.1.as_str(), told.2.as_str()), ("logStatusWarning", "the bars are about to have a fault ##1"));
     free(i);
 }
 
 #[test]
 fn only_wanted_categories_are_logged() {
     let messages = Messages::default();
-    let quiet = instantiate_with::<HeatedBars>(
-        &messages,
-        &token_of::<HeatedBars>(resources()),
-        resources(),
-        false,
-    );
+    let quiet = instantiate_with::<HeatedBars>(&messages, &token_of::<HeatedBars>(resources()), resources(), false);
     initialize(quiet);
     assert_eq!(step(quiet, 0.0, 1.0), Status::OK);
     assert!(messages.lock().unwrap().is_empty());
     // SAFETY: one string.
     unsafe {
-        assert_eq!(
-            fmi3SetDebugLogging(quiet, true.into(), 1, &c"solver".as_ptr().cast()),
-            Status::OK
-        );
+        assert_eq!(fmi3SetDebugLogging(quiet, true.into(), 1, &c"solver".as_ptr().cast()), Status::OK);
     }
     assert_eq!(step(quiet, 1.0, 1.0), Status::OK);
     assert_eq!(last(&messages), "step 2 of 1 s");
@@ -388,10 +245,7 @@ fn initial_results_follow_what_is_set() {
     let i = instantiate(&messages);
     // SAFETY: numbers only.
     unsafe {
-        assert_eq!(
-            fmi3EnterInitializationMode(i, Flag(0), 0.0, 0.0, Flag(0), 0.0),
-            Status::OK
-        );
+        assert_eq!(fmi3EnterInitializationMode(i, Flag(0), 0.0, 0.0, Flag(0), 0.0), Status::OK);
         for ambient in [310.0, 290.0] {
             let mut hottest = [0.0];
             assert_eq!(set(i, 8, &[ambient]), Status::OK);
@@ -411,10 +265,7 @@ fn every_type_comes_back() {
     // SAFETY: arrays have the lengths that are said; strings and bytes are read before the next call.
     unsafe {
         let text = c"höt";
-        assert_eq!(
-            fmi3SetString(i, &10, 1, &text.as_ptr().cast(), 1),
-            Status::OK
-        );
+        assert_eq!(fmi3SetString(i, &10, 1, &text.as_ptr().cast(), 1), Status::OK);
         let mut string = ptr::null();
         assert_eq!(fmi3GetString(i, &10, 1, &mut string, 1), Status::OK);
         assert_eq!(std::ffi::CStr::from_ptr(string.cast()), text);
@@ -422,10 +273,7 @@ fn every_type_comes_back() {
         let bytes = [7u8, 0, 9, 0];
         assert_eq!(fmi3SetBinary(i, &11, 1, &4, &bytes.as_ptr(), 1), Status::OK);
         let (mut size, mut binary) = (0, ptr::null());
-        assert_eq!(
-            fmi3GetBinary(i, &11, 1, &mut size, &mut binary, 1),
-            Status::OK
-        );
+        assert_eq!(fmi3GetBinary(i, &11, 1, &mut size, &mut binary, 1), Status::OK);
         assert_eq!(std::slice::from_raw_parts(binary, size), bytes);
 
         // A C `bool` may hold anything that is not 0.
@@ -443,16 +291,10 @@ fn every_type_comes_back() {
 
         // Several variables in one call, in the order of the references.
         let mut values = [0.0; 4];
-        assert_eq!(
-            fmi3GetFloat64(i, [8, 1].as_ptr(), 2, values.as_mut_ptr(), 4),
-            Status::OK
-        );
+        assert_eq!(fmi3GetFloat64(i, [8, 1].as_ptr(), 2, values.as_mut_ptr(), 4), Status::OK);
         assert_eq!(values, [300.0, 0.0, 0.0, 0.0]);
         // All or none: `hottest` cannot be set, so `ambient` is not set either.
-        assert_eq!(
-            fmi3SetFloat64(i, [8, 5].as_ptr(), 2, [1.0, 2.0].as_ptr(), 2),
-            Status::Error
-        );
+        assert_eq!(fmi3SetFloat64(i, [8, 5].as_ptr(), 2, [1.0, 2.0].as_ptr(), 2), Status::Error);
         assert_eq!(get(i, 8, &mut values[..1]), Status::OK);
         assert_eq!(values[0], 300.0);
     }
@@ -467,11 +309,7 @@ fn derivatives_agree_with_differences_and_with_each_other() {
     let (heat, direction, h) = ([100.0, 200.0, 300.0], [1.0, -2.0, 0.5], 1e-3);
     let loss = |sign: f64| {
         let mut values = [0.0; 3];
-        let moved: Vec<_> = heat
-            .iter()
-            .zip(direction)
-            .map(|(q, d)| q + sign * h * d)
-            .collect();
+        let moved: Vec<_> = heat.iter().zip(direction).map(|(q, d)| q + sign * h * d).collect();
         assert_eq!(set(i, 1, &moved), Status::OK);
         assert_eq!(get(i, 4, &mut values), Status::OK);
         values
@@ -481,37 +319,17 @@ fn derivatives_agree_with_differences_and_with_each_other() {
     let (mut forward, mut adjoint) = ([0.0; 3], [0.0; 3]);
     // SAFETY: arrays have the lengths that are said.
     unsafe {
-        let (d, f, a) = (
-            direction.as_ptr(),
-            forward.as_mut_ptr(),
-            adjoint.as_mut_ptr(),
-        );
-        assert_eq!(
-            fmi3GetDirectionalDerivative(i, &4, 1, &1, 1, d, 3, f, 3),
-            Status::OK
-        );
-        assert_eq!(
-            fmi3GetAdjointDerivative(i, &4, 1, &1, 1, d, 3, a, 3),
-            Status::OK
-        );
+        let (d, f, a) = (direction.as_ptr(), forward.as_mut_ptr(), adjoint.as_mut_ptr());
+        assert_eq!(fmi3GetDirectionalDerivative(i, &4, 1, &1, 1, d, 3, f, 3), Status::OK);
+        assert_eq!(fmi3GetAdjointDerivative(i, &4, 1, &1, 1, d, 3, a, 3), Status::OK);
         for k in 0..3 {
             let difference = (plus[k] - minus[k]) / (2.0 * h);
-            assert!(
-                (forward[k] - difference).abs() <= 1e-6 * difference.abs(),
-                "{} {difference}",
-                forward[k]
-            );
+            assert!((forward[k] - difference).abs() <= 1e-6 * difference.abs(), "{} {difference}", forward[k]);
         }
         assert_eq!(forward, adjoint);
-        let derivative =
-            |y: u32, seeds: usize| fmi3GetDirectionalDerivative(i, &y, 1, &1, 1, d, seeds, f, 3);
+        let derivative = |y: u32, seeds: usize| fmi3GetDirectionalDerivative(i, &y, 1, &1, 1, d, seeds, f, 3);
         refused(&messages, i, derivative(4, 2), "2 values were given for 3");
-        refused(
-            &messages,
-            i,
-            derivative(4, 3),
-            "not allowed in mode Instantiated",
-        );
+        refused(&messages, i, derivative(4, 3), "not allowed in mode Instantiated");
         initialize(i);
         refused(&messages, i, derivative(6, 3), "not Float64");
     }
@@ -522,8 +340,7 @@ fn derivatives_agree_with_differences_and_with_each_other() {
 fn a_callback_may_call_back() {
     unsafe extern "C" fn reenter(instance: Handle, _: Status, _: *const Char, _: *const Char) {
         // SAFETY: the environment is a cell that holds the handle of the instance.
-        let instance =
-            unsafe { &*instance.cast::<AtomicPtr<std::ffi::c_void>>() }.load(Ordering::Relaxed);
+        let instance = unsafe { &*instance.cast::<AtomicPtr<std::ffi::c_void>>() }.load(Ordering::Relaxed);
         let mut hottest = [0.0];
         assert_eq!(get(instance, 5, &mut hottest), Status::OK);
     }
@@ -533,27 +350,10 @@ fn a_callback_may_call_back() {
     let environment = ptr::from_ref(&cell).cast_mut().cast();
     // SAFETY: strings and cell live as long as the instance.
     unsafe {
-        let (name, token, path) = (
-            c"x".as_ptr().cast(),
-            token.as_ptr().cast(),
-            path.as_ptr().cast(),
-        );
+        let (name, token, path) = (c"x".as_ptr().cast(), token.as_ptr().cast(), path.as_ptr().cast());
         let (no, yes) = (Flag(0), Flag(1));
         let new = fmi3InstantiateCoSimulation::<HeatedBars>;
-        let i = new(
-            name,
-            token,
-            path,
-            no,
-            yes,
-            no,
-            no,
-            ptr::null(),
-            0,
-            environment,
-            Some(reenter),
-            None,
-        );
+        let i = new(name, token, path, no, yes, no, no, ptr::null(), 0, environment, Some(reenter), None);
         cell.store(i, Ordering::Relaxed);
         initialize(i);
         assert_eq!(step(i, 0.0, 1.0), Status::OK);
@@ -578,8 +378,7 @@ fn threads_do_not_disturb_each_other() {
     };
     let alone = [result(1.0), result(2.0)];
     let together = std::thread::scope(|scope| {
-        [scope.spawn(|| result(1.0)), scope.spawn(|| result(2.0))]
-            .map(|thread| thread.join().unwrap())
+        [scope.spawn(|| result(1.0)), scope.spawn(|| result(2.0))].map(|thread| thread.join().unwrap())
     });
     assert_eq!(alone, together);
 }
@@ -613,29 +412,15 @@ fn capabilities_that_are_missing_are_errors() {
     let mut string = ptr::null();
     // SAFETY: places live through the calls.
     unsafe {
-        refused(
-            &messages,
-            i,
-            fmi3GetFMUState(i, &mut state),
-            "cannot save its state",
-        );
-        refused(
-            &messages,
-            i,
-            fmi3GetString(i, &1, 1, &mut string, 1),
-            "contains NUL",
-        );
+        refused(&messages, i, fmi3GetFMUState(i, &mut state), "cannot save its state");
+        refused(&messages, i, fmi3GetString(i, &1, 1, &mut string, 1), "contains NUL");
         initialize(i);
-        let nothing =
-            fmi3GetDirectionalDerivative(i, &1, 1, &1, 1, ptr::null(), 0, ptr::null_mut(), 0);
+        let nothing = fmi3GetDirectionalDerivative(i, &1, 1, &1, 1, ptr::null(), 0, ptr::null_mut(), 0);
         refused(&messages, i, nothing, "no such derivatives");
         initialize(i);
         let (mut flags, mut last) = ([Flag(0); 3], 0.0);
         let [a, b, c] = &mut flags;
-        assert_eq!(
-            fmi3DoStep(i, 0.0, 2.0, Flag(0), a, b, c, &mut last),
-            Status::OK
-        );
+        assert_eq!(fmi3DoStep(i, 0.0, 2.0, Flag(0), a, b, c, &mut last), Status::OK);
         assert_eq!((flags, last), ([Flag(0), Flag(1), Flag(0)], 2.0));
     }
     free(i);
@@ -679,18 +464,10 @@ fn panics_at_birth_and_death_and_calls_at_once_are_errors() {
     let new = || instantiate_with::<Fragile>(&messages, &token, "/nowhere".into(), true);
     MOOD.store(1, Ordering::Relaxed);
     assert!(new().is_null());
-    assert!(
-        last(&messages).contains("no welcome"),
-        "{}",
-        last(&messages)
-    );
+    assert!(last(&messages).contains("no welcome"), "{}", last(&messages));
     MOOD.store(2, Ordering::Relaxed);
     free(new());
-    assert!(
-        last(&messages).contains("no farewell"),
-        "{}",
-        last(&messages)
-    );
+    assert!(last(&messages).contains("no farewell"), "{}", last(&messages));
 
     MOOD.store(0, Ordering::Relaxed);
     let i = new().addr();
@@ -698,10 +475,7 @@ fn panics_at_birth_and_death_and_calls_at_once_are_errors() {
     std::thread::scope(|scope| {
         let first = scope.spawn(|| get(ptr::without_provenance_mut(i), 1, &mut [0.0]));
         std::thread::sleep(wait);
-        assert_eq!(
-            get(ptr::without_provenance_mut(i), 1, &mut [0.0]),
-            Status::Error
-        );
+        assert_eq!(get(ptr::without_provenance_mut(i), 1, &mut [0.0]), Status::Error);
         assert!(last(&messages).contains("being called already"));
         assert_eq!(first.join().unwrap(), Status::OK);
     });

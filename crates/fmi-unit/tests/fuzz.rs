@@ -44,29 +44,17 @@ impl Random {
         }
     }
     fn flag(&mut self) -> Flag {
-        Flag(if self.one_in(50) {
-            self.next() as u8
-        } else {
-            (self.next() & 1) as u8
-        })
+        Flag(if self.one_in(50) { self.next() as u8 } else { (self.next() & 1) as u8 })
     }
     fn pointer<T>(&mut self, good: *mut T) -> *mut T {
-        if self.one_in(60) {
-            self.pick(&[ptr::null_mut(), ptr::without_provenance_mut(1)])
-        } else {
-            good
-        }
+        if self.one_in(60) { self.pick(&[ptr::null_mut(), ptr::without_provenance_mut(1)]) } else { good }
     }
 }
 
 /// Misaligned pointers stand for pointers that are refused before they are used; a `u8` or a string has
 /// no alignment, so there only null can be refused.
 fn byte_pointer<T>(random: &mut Random, good: *mut T) -> *mut T {
-    if random.one_in(60) {
-        ptr::null_mut()
-    } else {
-        good
-    }
+    if random.one_in(60) { ptr::null_mut() } else { good }
 }
 
 struct Fuzz {
@@ -124,18 +112,10 @@ impl Fuzz {
     fn instantiate(&mut self) {
         let r = &mut self.random;
         let name = r.pick(&[c"a", c"instance", c"", c"\xff"]);
-        let token = if r.one_in(20) {
-            c"other"
-        } else {
-            self.token.as_c_str()
-        };
+        let token = if r.one_in(20) { c"other" } else { self.token.as_c_str() };
         let (name, token) = (name.as_ptr().cast_mut(), token.as_ptr().cast_mut());
         let resources = self.resources.as_ptr().cast_mut();
-        let (name, token, resources) = (
-            byte_pointer(r, name),
-            byte_pointer(r, token),
-            byte_pointer(r, resources),
-        );
+        let (name, token, resources) = (byte_pointer(r, name), byte_pointer(r, token), byte_pointer(r, resources));
         let event = Flag(r.one_in(30).into());
         let logging = r.flag();
         // SAFETY: the strings live through the call, the messages as long as the fuzz.
@@ -156,10 +136,7 @@ impl Fuzz {
             )
         };
         if instance.is_null() {
-            assert!(
-                !self.messages.lock().unwrap().is_empty(),
-                "no instance and no message"
-            );
+            assert!(!self.messages.lock().unwrap().is_empty(), "no instance and no message");
         } else {
             self.live.push(instance);
         }
@@ -185,13 +162,8 @@ impl Fuzz {
         } else {
             r.pick(&[4, 5, 6, 7, 11, 12, 13, 15, 17, 19, 24, 25, 26, 27, 28, 29])
         };
-        let mut references: [u32; ROOM] = std::array::from_fn(|_| {
-            if r.one_in(40) {
-                r.next() as u32
-            } else {
-                r.below(14) as u32
-            }
-        });
+        let mut references: [u32; ROOM] =
+            std::array::from_fn(|_| if r.one_in(40) { r.next() as u32 } else { r.below(14) as u32 });
         let (mut count, mut size) = (r.below(4), r.below(ROOM));
         // Nonsense alone would never get far: most calls name a variable of the type and its size.
         if !r.one_in(8) {
@@ -208,32 +180,17 @@ impl Fuzz {
         let refs: *const u32 = r.pointer(references.as_ptr().cast_mut());
         let mut floats: [f64; ROOM] = std::array::from_fn(|_| r.float());
         let mut other = floats;
-        let mut longs: [i64; ROOM] = std::array::from_fn(|_| {
-            if r.one_in(3) {
-                r.next() as i64
-            } else {
-                r.below(4) as i64
-            }
-        });
+        let mut longs: [i64; ROOM] =
+            std::array::from_fn(|_| if r.one_in(3) { r.next() as i64 } else { r.below(4) as i64 });
         // A panic would end the instance: it is wanted, but seldom.
         if !r.one_in(40) {
             longs.iter_mut().filter(|v| **v == 1).for_each(|v| *v = 0);
         }
         let mut flags = [Flag(3); ROOM];
         let mut sizes = [0usize; ROOM];
-        let texts = [
-            c"text".as_ptr().cast::<Char>(),
-            c"\xf0\x28".as_ptr().cast(),
-            ptr::null(),
-            c"".as_ptr().cast(),
-        ];
-        let mut strings: [*const Char; ROOM] = std::array::from_fn(|_| {
-            if r.one_in(4) {
-                r.pick(&texts)
-            } else {
-                texts[0]
-            }
-        });
+        let texts = [c"text".as_ptr().cast::<Char>(), c"\xf0\x28".as_ptr().cast(), ptr::null(), c"".as_ptr().cast()];
+        let mut strings: [*const Char; ROOM] =
+            std::array::from_fn(|_| if r.one_in(4) { r.pick(&texts) } else { texts[0] });
         let mut blobs = [references.as_ptr().cast::<u8>(); ROOM];
         let (yes, no) = (Flag(1), Flag(0));
         let f = r.pointer(floats.as_mut_ptr());
@@ -246,11 +203,7 @@ impl Fuzz {
         } else {
             get(i, 0, &mut now);
         }
-        let step = if r.one_in(20) {
-            r.float()
-        } else {
-            r.pick(&[0.5, 0.5, 0.5, 20.0])
-        };
+        let step = if r.one_in(20) { r.float() } else { r.pick(&[0.5, 0.5, 0.5, 20.0]) };
         let mut place = state;
         let mut last = 0.0;
         // SAFETY: every array has room for the length that is said; bad pointers are null or misaligned.
@@ -282,10 +235,7 @@ impl Fuzz {
                 23 => fmi3GetFloat32(i, refs, count, f.cast(), n),
                 24 => {
                     let status = fmi3GetFMUState(i, &mut place);
-                    if status == Status::OK
-                        && !self.states.contains(&place)
-                        && self.states.len() < 100
-                    {
+                    if status == Status::OK && !self.states.contains(&place) && self.states.len() < 100 {
                         self.states.push(place);
                     }
                     status
@@ -309,28 +259,14 @@ impl Fuzz {
                         bytes.truncate(r.below(2 * self.bytes.len()));
                     }
                     let changed = bytes != self.bytes;
-                    let status =
-                        fmi3DeserializeFMUState(i, bytes.as_ptr(), bytes.len(), &mut place);
-                    assert!(
-                        !changed || status == Status::Error,
-                        "a corrupt state was accepted"
-                    );
+                    let status = fmi3DeserializeFMUState(i, bytes.as_ptr(), bytes.len(), &mut place);
+                    assert!(!changed || status == Status::Error, "a corrupt state was accepted");
                     status
                 }
                 29 => {
                     let known = references[0];
                     let unknown = if r.one_in(4) { r.below(14) as u32 } else { 4 };
-                    fmi3GetDirectionalDerivative(
-                        i,
-                        &unknown,
-                        1,
-                        &known,
-                        1,
-                        f,
-                        n,
-                        other.as_mut_ptr(),
-                        n,
-                    )
+                    fmi3GetDirectionalDerivative(i, &unknown, 1, &known, 1, f, n, other.as_mut_ptr(), n)
                 }
                 30 => {
                     let names = [c"solver".as_ptr().cast(), texts[r.below(2)]];
@@ -346,10 +282,7 @@ impl Fuzz {
 #[test]
 fn random_calls_do_no_harm() {
     let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
-    let (calls, seed) = (
-        number("FMI_FUZZ_CALLS").unwrap_or(CALLS),
-        number("FMI_FUZZ_SEED").unwrap_or(1),
-    );
+    let (calls, seed) = (number("FMI_FUZZ_CALLS").unwrap_or(CALLS), number("FMI_FUZZ_SEED").unwrap_or(1));
     // The panics of the unit under test would fill the screen.
     let hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -382,11 +315,7 @@ fn random_calls_do_no_harm() {
         seen[status as usize] += 1;
         if status == Status::Error && fuzz.live.contains(&instance) {
             let told = fuzz.messages.lock().unwrap();
-            assert!(
-                told.iter()
-                    .any(|m| m.0 == Status::Error && m.2.contains("fmi3")),
-                "an error without a message"
-            );
+            assert!(told.iter().any(|m| m.0 == Status::Error && m.2.contains("fmi3")), "an error without a message");
         }
         // An error ends a run, so that nothing would be left to try.
         if status == Status::Error && !fuzz.random.one_in(4) {
@@ -400,10 +329,7 @@ fn random_calls_do_no_harm() {
         }
     }
     // All but Fatal must have occurred often, or the sequence tests nothing.
-    assert!(
-        seen[0] > calls / 4 && seen[2] > calls / 1000 && seen[3] > calls / 10 && seen[4] == 0,
-        "{seen:?}"
-    );
+    assert!(seen[0] > calls / 4 && seen[2] > calls / 1000 && seen[3] > calls / 10 && seen[4] == 0, "{seen:?}");
     for instance in fuzz.live {
         // SAFETY: handles. A reset fails only after a panic.
         unsafe {

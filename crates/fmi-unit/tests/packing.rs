@@ -3,8 +3,7 @@
 use std::fs;
 
 use fmi_unit::{
-    Contents, Description, Environment, Error, Reference, StepOutcome, Type, Unit, UnitError,
-    ValuesMut, Variable, pack,
+    Contents, Description, Environment, Error, Reference, StepOutcome, Type, Unit, UnitError, ValuesMut, Variable, pack,
 };
 
 #[allow(unreachable_pub, reason = "public where it is a library")]
@@ -20,12 +19,7 @@ fn contents(folder: &std::path::Path) -> Contents {
     fs::create_dir_all(resources.join("b")).unwrap();
     fs::write(resources.join("size.txt"), "2 2").unwrap();
     fs::write(resources.join("b/mesh"), [0; 10_000]).unwrap();
-    Contents {
-        library,
-        resources: Some(resources),
-        documentation: String::new(),
-        icon: Some(vec![137]),
-    }
+    Contents { library, resources: Some(resources), documentation: String::new(), icon: Some(vec![137]) }
 }
 
 #[test]
@@ -48,9 +42,7 @@ fn the_archive_is_sorted_and_complete() {
     let path = folder.path().join("bars.fmu");
     let token = pack::<HeatedBars>(&path, &contents(folder.path())).unwrap();
     let mut archive = zip::ZipArchive::new(fs::File::open(path).unwrap()).unwrap();
-    let names: Vec<_> = (0..archive.len())
-        .map(|i| archive.by_index(i).unwrap().name().unwrap().into_owned())
-        .collect();
+    let names: Vec<_> = (0..archive.len()).map(|i| archive.by_index(i).unwrap().name().unwrap().into_owned()).collect();
     let library = if cfg!(all(target_arch = "x86_64", target_os = "linux")) {
         "binaries/x86_64-linux/heated_bars.so".to_owned()
     } else {
@@ -77,11 +69,7 @@ fn other_resources_give_another_token() {
     let path = folder.path().join("bars.fmu");
     let contents = contents(folder.path());
     let token = pack::<HeatedBars>(&path, &contents).unwrap();
-    fs::write(
-        contents.resources.as_ref().unwrap().join("b/mesh"),
-        [1; 10_000],
-    )
-    .unwrap();
+    fs::write(contents.resources.as_ref().unwrap().join("b/mesh"), [1; 10_000]).unwrap();
     assert_ne!(pack::<HeatedBars>(&path, &contents).unwrap(), token);
 }
 
@@ -105,8 +93,7 @@ impl Unit for Liar {
         Ok(Liar)
     }
     fn description(&self) -> Description {
-        Description::new("Liar", "liar")
-            .variables([Variable::parameter(1, "p", Type::Int8).start(1)])
+        Description::new("Liar", "liar").variables([Variable::parameter(1, "p", Type::Int8).start(1)])
     }
     fn get(&mut self, _: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
         values.write(&[2i8])
@@ -121,8 +108,5 @@ fn a_start_value_that_is_not_kept_is_noticed() {
     let folder = tempfile::tempdir().unwrap();
     let contents = contents(folder.path());
     let error = pack::<Liar>(&folder.path().join("liar.fmu"), &contents).unwrap_err();
-    assert!(
-        matches!(&error, Error::Contract(text) if text.contains("starts with 2")),
-        "{error}"
-    );
+    assert!(matches!(&error, Error::Contract(text) if text.contains("starts with 2")), "{error}");
 }

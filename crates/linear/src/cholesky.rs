@@ -425,14 +425,41 @@ impl Cholesky {
         Ok(())
     }
 
-    /// The Schur complement A_gg − A_gu A_uu⁻¹ A_ug, m × m, both triangles, in the order of the
-    /// trailing list. Costs about m³ operations and 2 m² numbers.
+    /// The Schur complement S = A_gg − A_gu A_uu⁻¹ A_ug, m × m, both triangles, in the order of the trailing list. Costs
+    /// about m³ operations and 2 m² numbers.
     ///
     /// # Errors
     /// [`Error::NotFactorised`].
     pub fn schur(&self) -> Result<Mat<f64>, Error> {
-        let lower = self.schur_factor()?;
-        let m = lower.nrows();
+        self.schur_as(|v| v)
+    }
+
+    /// As [`schur`](Self::schur), in single precision throughout.
+    ///
+    /// # Errors
+    /// [`Error::NotFactorised`].
+    pub fn schur_single(&self) -> Result<Mat<f32>, Error> {
+        self.schur_as(|v| v as f32)
+    }
+
+    /// y += S x in double precision, with the Schur complement S as the factor holds it: reads m²/2 numbers.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::NotFactorised`].
+    pub fn add_schur_product(&self, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
+        self.check(self.len())?;
+        let m = self.symbolic.ordering.trailing();
+        check_len("trailing values", m, x.len())?;
+        check_len("product", m, y.len())?;
+        self.symbolic.panels.trailing_product(&self.factor, x, y);
+        Ok(())
+    }
+
+    fn schur_as<T: faer::traits::RealField>(&self, convert: impl Fn(f64) -> T) -> Result<Mat<T>, Error> {
+        self.check(self.len())?;
+        let m = self.symbolic.ordering.trailing();
+        let mut lower = Mat::zeros(m, m);
+        self.symbolic.panels.trailing_factor(&self.factor, lower.as_mut(), &convert);
         let mut schur = Mat::zeros(m, m);
         triangular::matmul(
             schur.as_mut(),
@@ -442,28 +469,21 @@ impl Cholesky {
             BlockStructure::TriangularLower,
             lower.transpose(),
             BlockStructure::TriangularUpper,
-            1.0,
+            convert(1.0),
             self.par,
         );
-        for j in 0..m {
-            for i in j + 1..m {
-                schur[(j, i)] = schur[(i, j)];
+        // By tiles, so that rows and columns stay in the cache.
+        const TILE: usize = 32;
+        for first in (0..m).step_by(TILE) {
+            for j in (first..m).step_by(TILE) {
+                for column in first..m.min(first + TILE) {
+                    for row in j.max(column + 1)..m.min(j + TILE) {
+                        schur[(column, row)] = schur[(row, column)].clone();
+                    }
+                }
             }
         }
         Ok(schur)
-    }
-
-    /// The Cholesky factor L22 of the Schur complement, m × m, lower triangular with zeros above,
-    /// in the order of the trailing list.
-    ///
-    /// # Errors
-    /// [`Error::NotFactorised`].
-    pub fn schur_factor(&self) -> Result<Mat<f64>, Error> {
-        self.check(self.len())?;
-        let m = self.symbolic.ordering.trailing();
-        let mut lower = Mat::zeros(m, m);
-        (self.symbolic.panels).trailing_factor(&self.factor, lower.as_mut());
-        Ok(lower)
     }
 
     fn check(&self, len: usize) -> Result<(), Error> {

@@ -418,22 +418,56 @@ impl Panels {
         }
     }
 
-    /// The factor of the trailing unknowns: `lower` (zero on entry) receives L22.
-    pub(crate) fn trailing_factor(&self, factor: &[f64], mut lower: MatMut<'_, f64>) {
+    /// The factor of the trailing unknowns: `lower` (zero on entry) receives L22, each entry by `convert`.
+    pub(crate) fn trailing_factor<T>(&self, factor: &[f64], mut lower: MatMut<'_, T>, convert: impl Fn(f64) -> T) {
         let split = self.len - lower.nrows();
-        for panel in &self.panels[self.leading..] {
-            for j in 0..panel.cols {
-                let column = panel.start + j - split;
-                let (triangle, below) = panel.column(factor, j).split_at(panel.cols - j);
-                for (i, &v) in triangle.iter().enumerate() {
-                    lower[(column + i, column)] = v;
-                }
-                for (&row, &v) in self.rows[panel.rows.clone()].iter().zip(below) {
-                    lower[(row as usize - split, column)] = v;
-                }
+        for (column, top, below, rows) in self.trailing_columns(factor, split) {
+            for (i, &v) in top.iter().enumerate() {
+                lower[(column + i, column)] = convert(v);
+            }
+            for (&row, &v) in rows.iter().zip(below) {
+                lower[(row as usize - split, column)] = convert(v);
             }
         }
     }
+
+    /// y += L22 L22ᵀ x, reading the factor once.
+    pub(crate) fn trailing_product(&self, factor: &[f64], x: &[f64], y: &mut [f64]) {
+        let split = self.len - x.len();
+        for (column, top, below, rows) in self.trailing_columns(factor, split) {
+            let mut t = dot(top, &x[column..]);
+            t += rows.iter().zip(below).map(|(&row, v)| v * x[row as usize - split]).sum::<f64>();
+            y[column..].iter_mut().zip(top).for_each(|(y, v)| *y += t * v);
+            rows.iter().zip(below).for_each(|(&row, v)| y[row as usize - split] += t * v);
+        }
+    }
+
+    /// The columns of the trailing factor: number, the entries from the diagonal to the end of the panel's triangle, those
+    /// below, and the positions of the latter's rows.
+    fn trailing_columns<'a>(
+        &'a self,
+        factor: &'a [f64],
+        split: usize,
+    ) -> impl Iterator<Item = (usize, &'a [f64], &'a [f64], &'a [u32])> {
+        self.panels[self.leading..].iter().flat_map(move |panel| {
+            (0..panel.cols).map(move |j| {
+                let (top, below) = panel.column(factor, j).split_at(panel.cols - j);
+                (panel.start + j - split, top, below, &self.rows[panel.rows.clone()])
+            })
+        })
+    }
+}
+
+/// Σ a_i b_i over the length of `a`, in eight sums that the compiler keeps in registers.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; 8];
+    let (pairs, rest) = (a.chunks_exact(8).zip(b.chunks_exact(8)), a.len() / 8 * 8);
+    for (a, b) in pairs {
+        for k in 0..8 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(a, b)| a * b).sum::<f64>()
 }
 
 impl Panel {

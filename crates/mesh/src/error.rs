@@ -143,6 +143,16 @@ pub enum Problem {
         /// Largest distance of two of its vertices (m).
         diameter: f64,
     },
+    /// Two faces of a cell of a 2D mesh cross.
+    #[error("faces {first} and {second} of cell {cell} cross")]
+    CrossingFaces {
+        /// Number of the cell.
+        cell: usize,
+        /// One face.
+        first: usize,
+        /// The other.
+        second: usize,
+    },
     /// Two cells lie on the same side of their common face: one is inverted or they overlap.
     #[error(
         "cells {first} and {second} lie on the same side of their common face {face}: one is inverted, or they overlap"

@@ -3,6 +3,7 @@
 mod arrangement;
 mod boxes;
 mod coarsen;
+mod columns;
 mod extrude;
 mod input;
 mod polytopes;
@@ -10,9 +11,11 @@ mod simplices;
 mod size;
 mod triangles;
 
+pub(crate) use arrangement::side;
 pub use boxes::{cartesian, kershaw, perturb, tag_box};
+pub use columns::Columns;
 pub use extrude::extrude;
 pub use input::{InputError, InputProblem};
-pub use polytopes::{agglomerate, dual};
+pub use polytopes::{agglomerate, dual, unite_cells};
 pub use simplices::simplices;
 pub use triangles::Triangles;

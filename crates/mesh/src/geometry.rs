@@ -48,18 +48,16 @@ impl Geometry {
             g.face_vertex_vector.resize(first + list.len(), Vec3::ZERO);
             let weight = &mut g.face_weight[first..];
             let vector = &mut g.face_vertex_vector[first..];
-            let (mut measure, mut total) = (0.0, Vec3::ZERO);
-            if let &[a, b] = list {
-                let t = vertices[b] - vertices[a];
-                total = Vec3::new(t.y, -t.x, 0.0);
-                measure = t.length();
+            let total = face_vector(vertices, list);
+            let mut measure = 0.0;
+            if list.len() == 2 {
+                measure = total.length();
                 weight.fill(0.5);
                 vector.fill(0.5 * total);
             } else {
                 let n = list.len();
                 let m = mean(vertices, list);
                 let triangle = |i: usize| 0.5 * (vertices[list[i]] - m).cross(vertices[list[(i + 1) % n]] - m);
-                total = (0..n).map(triangle).sum();
                 for i in 0..n {
                     let area = triangle(i);
                     // Where the mean does not see the edge, the triangle counts negative.
@@ -82,21 +80,27 @@ impl Geometry {
         g
     }
 
-    /// Appends the cells; `signs` is aligned with `cells`.
-    pub(crate) fn add_cells(
-        &mut self,
+    /// The same cells with these faces.
+    pub(crate) fn with_faces(self, vertices: &[Vec3], faces: &Lists) -> Self {
+        let Self { cell_measure, cell_center, cell_weight, cell_diameter, .. } = self;
+        Self { cell_measure, cell_center, cell_weight, cell_diameter, ..Self::of_faces(vertices, faces) }
+    }
+
+    /// The cells; `signs` is aligned with `cells`.
+    pub(crate) fn of_cells(
         dim: usize,
         vertices: &[Vec3],
         faces: &Lists,
         cells: &Lists,
         signs: &[f64],
         cell_vertices: &Lists,
-    ) {
+    ) -> Self {
+        let mut g = Self::default();
         for cell in 0..cells.len() {
             let own = cell_vertices.get(cell);
-            let first = self.cell_weight.len();
-            self.cell_weight.resize(first + own.len(), 0.0);
-            let weight = &mut self.cell_weight[first..];
+            let first = g.cell_weight.len();
+            g.cell_weight.resize(first + own.len(), 0.0);
+            let weight = &mut g.cell_weight[first..];
             let slot = |v: usize| {
                 own.binary_search(&v).unwrap_or_else(|_| unreachable!("a cell has the vertices of its faces"))
             };
@@ -132,11 +136,23 @@ impl Geometry {
             for w in weight.iter_mut() {
                 *w = (*w + rest) / measure;
             }
-            self.cell_center.push(own.iter().zip(weight).map(|(&v, w)| *w * vertices[v]).sum());
-            self.cell_measure.push(measure);
-            self.cell_diameter.push(diameter(vertices, own));
+            g.cell_center.push(own.iter().zip(weight).map(|(&v, w)| *w * vertices[v]).sum());
+            g.cell_measure.push(measure);
+            g.cell_diameter.push(diameter(vertices, own));
         }
+        g
     }
+}
+
+/// Integral of the unit normal over a face.
+pub(crate) fn face_vector(vertices: &[Vec3], list: &[usize]) -> Vec3 {
+    if let &[a, b] = list {
+        let t = vertices[b] - vertices[a];
+        return Vec3::new(t.y, -t.x, 0.0);
+    }
+    let m = mean(vertices, list);
+    let n = list.len();
+    (0..n).map(|i| 0.5 * (vertices[list[i]] - m).cross(vertices[list[(i + 1) % n]] - m)).sum()
 }
 
 pub(crate) fn diameter(vertices: &[Vec3], list: &[usize]) -> f64 {

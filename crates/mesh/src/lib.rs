@@ -13,20 +13,25 @@
 
 mod data;
 mod error;
+mod fingerprint;
 pub mod generate;
 mod geometry;
 mod lists;
+mod locate;
 mod network;
 mod nodes;
 mod random;
 mod topology;
 mod transform;
+#[cfg(feature = "zoo")]
+pub mod zoo;
 
 pub use data::MeshData;
 pub use error::{MeshError, Problem};
 pub use geometry::Geometry;
 pub use glam::DVec3 as Vec3;
 pub use lists::Lists;
+pub use locate::Locator;
 pub use network::{EdgeKind, Network, Side, tangents};
 pub use nodes::Nodes;
 pub use transform::Renumbering;

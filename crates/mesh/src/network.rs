@@ -1,6 +1,6 @@
 //! The fracture network: its faces, sides, bases and edges.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 use crate::{Lists, Vec3, topology::ridges};
 
@@ -81,7 +81,7 @@ impl Network {
                 network.fracture.push(fracture);
             }
         }
-        let mut number = HashMap::new();
+        let mut number = FxHashMap::default();
         let mut faces_of_edge: Vec<Vec<usize>> = Vec::new();
         for (i, &face) in network.faces.iter().enumerate() {
             let edges: Vec<usize> = ridges(faces.get(face))

@@ -1,12 +1,21 @@
 //! From what was given to a checked, oriented mesh.
 
-use std::collections::HashMap;
+use std::hash::{Hash, Hasher};
 
-use crate::geometry::diameter;
+use rustc_hash::{FxHashMap, FxHasher};
+
+use crate::generate::side;
+use crate::geometry::{diameter, face_vector};
 use crate::{Geometry, Lists, Mesh, MeshData, MeshError, Network, Nodes, Problem, Vec3};
 
 /// A face or cell below this part of its diameter's power is degenerate: a few hundred units of round-off.
 const DEGENERATE: f64 = 1e-13;
+
+/// Whether a measure is no round-off, nor lost because coordinates are too large or too small to be multiplied: then
+/// both sides are infinite or zero, or one is NaN.
+fn is_sound(measure: f64, diameter: f64, dim: usize) -> bool {
+    measure > DEGENERATE * diameter.powi(dim as i32)
+}
 
 /// The ridges of a face: its edges in 3D as (lower vertex, higher vertex), its vertices in 2D as (v, v). The
 /// direction is ±1, such that two faces which meet at a ridge with opposite directions have normals to the
@@ -34,22 +43,23 @@ pub(crate) fn build(mut data: MeshData, swap: bool) -> Result<Mesh, MeshError> {
     let mut signs = orient_cells(&data, &mut problems);
     fail_on(&mut problems)?;
 
-    let cell_vertices: Lists = (data.cells.iter())
-        .map(|faces| {
-            let mut own: Vec<usize> = faces.iter().flat_map(|&f| data.faces.get(f)).copied().collect();
-            own.sort_unstable();
-            own.dedup();
-            own
-        })
-        .collect();
-    make_outward(&data, &cell_vertices, &mut signs, &mut problems);
+    let mut cell_vertices = Lists::new();
+    let mut own = Vec::new();
+    for faces in data.cells.iter() {
+        own.clear();
+        own.extend(faces.iter().flat_map(|&f| data.faces.get(f)));
+        own.sort_unstable();
+        own.dedup();
+        cell_vertices.push(own.iter().copied());
+    }
+    check_crossings(&data, &mut problems);
+    let cells = outward_cells(&data, &cell_vertices, &mut signs, &mut problems);
     fail_on(&mut problems)?;
 
     let face_cells = orient_faces(&mut data, &mut signs, swap, &mut problems);
     fail_on(&mut problems)?;
 
-    let mut geometry = Geometry::of_faces(&data.vertices, &data.faces);
-    geometry.add_cells(data.dim, &data.vertices, &data.faces, &data.cells, &signs, &cell_vertices);
+    let geometry = cells.with_faces(&data.vertices, &data.faces);
     let network = Network::new(&data.faces, &face_cells, &data.face_fracture);
     let nodes =
         Nodes::new(data.vertices.len(), &data.faces, &cell_vertices, &face_cells, |f| data.face_fracture[f].is_some());
@@ -111,7 +121,7 @@ fn check_references(data: &MeshData) -> Vec<Problem> {
 fn check_vertices(data: &MeshData, problems: &mut Vec<Problem>) {
     let mut used = vec![false; data.vertices.len()];
     data.faces.items().iter().for_each(|&v| used[v] = true);
-    let mut at = HashMap::new();
+    let mut at = FxHashMap::with_capacity_and_hasher(data.vertices.len(), Default::default());
     for (vertex, (&p, used)) in data.vertices.iter().zip(used).enumerate() {
         let Vec3 { x, y, z } = p;
         if !p.is_finite() || (data.dim == 2 && z != 0.0) {
@@ -129,27 +139,41 @@ fn check_vertices(data: &MeshData, problems: &mut Vec<Problem>) {
 }
 
 fn check_faces(data: &MeshData, problems: &mut Vec<Problem>) {
-    let mut by_vertices = HashMap::new();
-    let geometry = Geometry::of_faces(&data.vertices, &data.faces);
+    let mut hashes = Vec::with_capacity(data.faces.len());
+    let mut key = Vec::new();
     for (face, list) in data.faces.iter().enumerate() {
         let enough = if data.dim == 2 { list.len() == 2 } else { list.len() >= 3 };
         if !enough {
             problems.push(Problem::VertexCount { face, count: list.len() });
             continue;
         }
-        let mut key = list.to_vec();
-        key.sort_unstable();
+        sort_into(&mut key, list);
         if let Some(pair) = key.windows(2).find(|pair| pair[0] == pair[1]) {
             problems.push(Problem::RepeatedVertex { face, vertex: pair[0] });
             continue;
         }
-        if let Some(first) = by_vertices.insert(key, face) {
-            problems.push(Problem::DuplicateFaces { first, second: face });
-        }
-        let measure = geometry.face_vector[face].length();
+        let mut hasher = FxHasher::default();
+        key.hash(&mut hasher);
+        hashes.push((hasher.finish(), face));
+        let measure = face_vector(&data.vertices, list).length();
         let diameter = diameter(&data.vertices, list);
-        if measure <= DEGENERATE * diameter.powi(data.dim as i32 - 1) {
+        if !is_sound(measure, diameter, data.dim - 1) {
             problems.push(Problem::DegenerateFace { face, measure, diameter });
+        }
+    }
+    // Faces with the same vertices have the same hash.
+    hashes.sort_unstable();
+    let mut other = Vec::new();
+    for group in hashes.chunk_by(|a, b| a.0 == b.0) {
+        for (i, &(_, second)) in group.iter().enumerate().skip(1) {
+            sort_into(&mut key, data.faces.get(second));
+            let same = |&&(_, first): &&(u64, usize)| {
+                sort_into(&mut other, data.faces.get(first));
+                key == other
+            };
+            if let Some(&(_, first)) = group[..i].iter().find(same) {
+                problems.push(Problem::DuplicateFaces { first, second });
+            }
         }
     }
     let cells_of_face = data.cells.transpose(data.faces.len());
@@ -167,11 +191,18 @@ fn check_faces(data: &MeshData, problems: &mut Vec<Problem>) {
     }
 }
 
+fn sort_into(key: &mut Vec<usize>, list: &[usize]) {
+    key.clear();
+    key.extend_from_slice(list);
+    key.sort_unstable();
+}
+
 /// Signs that make the faces of each cell agree with one another; the surface must be closed.
 fn orient_cells(data: &MeshData, problems: &mut Vec<Problem>) -> Vec<f64> {
     let mut signs = vec![0.0; data.cells.items().len()];
     let mut at_ridge: Vec<((usize, usize), usize, i8)> = Vec::new();
     let mut links: Vec<(usize, usize, f64)> = Vec::new();
+    let mut queue = Vec::new();
     for (cell, faces) in data.cells.iter().enumerate() {
         at_ridge.clear();
         links.clear();
@@ -196,7 +227,7 @@ fn orient_cells(data: &MeshData, problems: &mut Vec<Problem>) -> Vec<f64> {
         }
         links.sort_unstable_by_key(|link| link.0);
         let own = &mut signs[data.cells.range(cell)];
-        let mut queue = Vec::new();
+        queue.clear();
         if let Some(first) = own.first_mut() {
             *first = 1.0;
             queue.push(0);
@@ -219,18 +250,38 @@ fn orient_cells(data: &MeshData, problems: &mut Vec<Problem>) -> Vec<f64> {
     signs
 }
 
-/// Turns the signs of each cell so that its measure is positive.
-fn make_outward(data: &MeshData, cell_vertices: &Lists, signs: &mut [f64], problems: &mut Vec<Problem>) {
-    let mut geometry = Geometry::default();
-    geometry.add_cells(data.dim, &data.vertices, &data.faces, &data.cells, signs, cell_vertices);
-    for (cell, &measure) in geometry.cell_measure.iter().enumerate() {
-        let diameter = geometry.cell_diameter[cell];
-        if measure.abs() <= DEGENERATE * diameter.powi(data.dim as i32) {
-            problems.push(Problem::DegenerateCell { cell, measure, diameter });
-        } else if measure < 0.0 {
+/// In 2D no two edges of a cell may cross (in a triangle they cannot).
+fn check_crossings(data: &MeshData, problems: &mut Vec<Problem>) {
+    for (cell, faces) in data.cells.iter().enumerate().filter(|(_, faces)| data.dim == 2 && faces.len() > 3) {
+        let ends = |face: usize| data.faces.get(face).iter().map(|&v| data.vertices[v].truncate());
+        let apart = |first: usize, second: usize| {
+            let mut points = ends(first).zip(ends(second));
+            let (Some((a, c)), Some((b, d))) = (points.next(), points.next()) else { return true };
+            let opposite = |p: f64, q: f64| (p > 0.0 && q < 0.0) || (p < 0.0 && q > 0.0);
+            !(opposite(side(a, b, c), side(a, b, d)) && opposite(side(c, d, a), side(c, d, b)))
+        };
+        for (i, &second) in faces.iter().enumerate() {
+            if let Some(&first) = faces[..i].iter().find(|&&first| !apart(first, second)) {
+                problems.push(Problem::CrossingFaces { cell, first, second });
+            }
+        }
+    }
+}
+
+/// Turns the signs of each cell so that its measure is positive; gives the geometry of the cells.
+fn outward_cells(data: &MeshData, cell_vertices: &Lists, signs: &mut [f64], problems: &mut Vec<Problem>) -> Geometry {
+    let mut geometry = Geometry::of_cells(data.dim, &data.vertices, &data.faces, &data.cells, signs, cell_vertices);
+    for cell in 0..data.cells.len() {
+        let (measure, diameter) = (&mut geometry.cell_measure[cell], geometry.cell_diameter[cell]);
+        if !is_sound(measure.abs(), diameter, data.dim) {
+            problems.push(Problem::DegenerateCell { cell, measure: *measure, diameter });
+        } else if *measure < 0.0 {
+            // The weights do not change with the sense of the surface.
+            *measure = -*measure;
             signs[data.cells.range(cell)].iter_mut().for_each(|s| *s = -*s);
         }
     }
+    geometry
 }
 
 /// Finds the cells on both sides of each face and turns faces so that boundary normals point outward and
@@ -277,21 +328,20 @@ fn orient_faces(
 fn agree_along_fractures(data: &MeshData, swap: bool, flip: &mut [bool]) {
     let faces: Vec<usize> = (0..data.faces.len()).filter(|&f| data.face_fracture[f].is_some()).collect();
     type FractureRidge = (usize, (usize, usize));
-    let mut at_ridge: HashMap<FractureRidge, Vec<(usize, i8)>> = HashMap::new();
+    let mut at_ridge: FxHashMap<FractureRidge, Vec<(usize, i8)>> = FxHashMap::default();
     for &face in &faces {
         let fracture = data.face_fracture[face].unwrap_or_default();
         for (key, direction) in ridges(data.faces.get(face)) {
             at_ridge.entry((fracture, key)).or_default().push((face, direction));
         }
     }
-    let geometry = Geometry::of_faces(&data.vertices, &data.faces);
     let mut seen = vec![false; data.faces.len()];
     for &start in &faces {
         if seen[start] {
             continue;
         }
         seen[start] = true;
-        let normal = geometry.face_normal(start).to_array();
+        let normal = face_vector(&data.vertices, data.faces.get(start)).normalize().to_array();
         flip[start] = normal.into_iter().find(|c| c.abs() > 1e-3).is_some_and(|c| (c < 0.0) != swap);
         let mut queue = vec![start];
         while let Some(face) = queue.pop() {

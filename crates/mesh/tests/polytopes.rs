@@ -4,7 +4,7 @@ mod common;
 
 use common::{check, measure};
 use mesh::generate::{InputProblem, Triangles, agglomerate, cartesian, dual, extrude, perturb, simplices};
-use mesh::{EdgeKind, Mesh, MeshData, Vec3};
+use mesh::{EdgeKind, Mesh, Vec3};
 
 fn edges(mesh: &Mesh, kind: EdgeKind) -> usize {
     (0..mesh.network().edge_count()).filter(|&e| mesh.network().edge_kind(e) == kind).count()
@@ -82,10 +82,8 @@ fn polyhedra_conform_to_a_t() {
     let tets = t_box(4, 0.15);
     let classes = |mesh: &Mesh| mesh.nodes().count() - mesh.vertices().len();
     assert!(classes(&tets) > 0);
-    let makers: [(&str, fn(&Mesh) -> MeshData, f64); 2] =
-        [("dual", |m| dual(m).unwrap(), 1.0), ("agglomerate", |m| agglomerate(m, 8).unwrap(), 48.0)];
-    for (name, make, _) in makers {
-        let mesh = Mesh::new(make(&tets)).unwrap();
+    for (name, data) in [("dual", dual(&tets).unwrap()), ("agglomerate", agglomerate(&tets, 8).unwrap())] {
+        let mesh = Mesh::new(data).unwrap();
         check(name, &mesh);
         assert!((measure(&mesh) - 8.0).abs() < 1e-12, "{name}");
         assert!((fracture_measure(&mesh) - 6.0).abs() < 1e-12, "{name}");

@@ -601,9 +601,7 @@ pub enum Norm {
 pub struct Sensitivity {
     /// Factor on the matrix compliance b²/K_dr; the linear problem contracts from ½ on.
     pub matrix_compliance_factor: Number,
-    /// Whether the fracture compliance is probed by a linearised solve; otherwise it is its floor.
-    pub probe: bool,
-    /// Factor on the floor L_f/E′ of the fracture compliance (m/Pa), L_f the length of the fracture.
+    /// The fracture compliance is probed by a linearised solve; this is the factor on its floor L_f/E′ of the fracture compliance (m/Pa), L_f the length of the fracture.
     pub fracture_compliance_floor_factor: Number,
     /// Largest matrix stiffness (Pa) that flow publishes.
     pub matrix_stiffness_cap: Number,
@@ -615,7 +613,6 @@ impl Default for Sensitivity {
     fn default() -> Self {
         Self {
             matrix_compliance_factor: Number(1.0),
-            probe: true,
             fracture_compliance_floor_factor: Number(1.0),
             matrix_stiffness_cap: Number(1e13),
             fracture_stiffness_cap: Number(1e10),

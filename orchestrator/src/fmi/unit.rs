@@ -12,7 +12,7 @@ use super::library::{Instance, Status};
 use crate::unit::{StepOutcome, Unit, UnitError};
 
 /// The name under which a unit publishes the Newton iterations of its last time step.
-const NEWTON: &str = "newton_iterations";
+const NEWTON: &str = "newton.iterations";
 
 /// An unpacked FMU; its files go with the last of its clones and instances.
 #[derive(Clone, Debug)]
@@ -120,6 +120,10 @@ impl std::fmt::Debug for FmuUnit {
 impl Unit for FmuUnit {
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn has(&self, variable: &str) -> bool {
+        self.fmu.description.variables.contains_key(variable)
     }
 
     fn set(&mut self, variable: &str, values: &[f64]) -> Result<(), UnitError> {

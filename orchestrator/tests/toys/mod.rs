@@ -101,6 +101,11 @@ impl Toy {
         toy
     }
 
+    /// Gives it one more variable.
+    pub(crate) fn set_new(&mut self, name: &str) {
+        self.state.values.insert(name.to_owned(), Vec::new());
+    }
+
     fn value(&self, name: &str, i: usize) -> f64 {
         self.state.values[name][i]
     }
@@ -150,6 +155,10 @@ impl Toy {
 impl Unit for Toy {
     fn name(&self) -> &str {
         if self.is_flow { "toy flow" } else { "toy mechanics" }
+    }
+
+    fn has(&self, variable: &str) -> bool {
+        self.state.values.contains_key(variable)
     }
 
     fn set(&mut self, variable: &str, values: &[f64]) -> Result<(), UnitError> {

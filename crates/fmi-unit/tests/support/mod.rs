@@ -18,51 +18,26 @@ pub(crate) use heated_bars::HeatedBars;
 /// What the callback was told: status, category, text.
 pub(crate) type Messages = Mutex<Vec<(Status, String, String)>>;
 
-pub(crate) unsafe extern "C" fn log(
-    messages: Handle,
-    status: Status,
-    category: *const Char,
-    text: *const Char,
-) {
+pub(crate) unsafe extern "C" fn log(messages: Handle, status: Status, category: *const Char, text: *const Char) {
     // SAFETY: the environment is the one given in `instantiate`, the strings are the unit's.
-    let (messages, category, text) = unsafe {
-        (
-            &*messages.cast::<Messages>(),
-            CStr::from_ptr(category.cast()),
-            CStr::from_ptr(text.cast()),
-        )
-    };
-    let entry = (
-        status,
-        category.to_string_lossy().into_owned(),
-        text.to_string_lossy().into_owned(),
-    );
+    let (messages, category, text) =
+        unsafe { (&*messages.cast::<Messages>(), CStr::from_ptr(category.cast()), CStr::from_ptr(text.cast())) };
+    let entry = (status, category.to_string_lossy().into_owned(), text.to_string_lossy().into_owned());
     messages.lock().unwrap().push(entry);
 }
 
 pub(crate) fn resources() -> PathBuf {
-    PathBuf::from(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/examples/heated_bars_resources"
-    ))
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/heated_bars_resources"))
 }
 
 pub(crate) fn token_of<U: Unit>(resources: PathBuf) -> String {
-    let environment = Environment {
-        instance_name: "token".to_owned(),
-        resources: Some(resources.clone()),
-        log: Log::default(),
-    };
+    let environment =
+        Environment { instance_name: "token".to_owned(), resources: Some(resources.clone()), log: Log::default() };
     let unit = U::instantiate(&environment).unwrap();
     token(&unit.description(), Some(&resources)).unwrap()
 }
 
-pub(crate) fn instantiate_with<U: Unit>(
-    messages: &Messages,
-    token: &str,
-    resources: PathBuf,
-    logging: bool,
-) -> Handle {
+pub(crate) fn instantiate_with<U: Unit>(messages: &Messages, token: &str, resources: PathBuf, logging: bool) -> Handle {
     let [name, token] = ["test", token].map(|s| CString::new(s).unwrap());
     let resources = CString::new(resources.to_str().unwrap()).unwrap();
     // SAFETY: the strings live through the call, the messages as long as the test.
@@ -85,22 +60,14 @@ pub(crate) fn instantiate_with<U: Unit>(
 }
 
 pub(crate) fn instantiate(messages: &Messages) -> Handle {
-    instantiate_with::<HeatedBars>(
-        messages,
-        &token_of::<HeatedBars>(resources()),
-        resources(),
-        true,
-    )
+    instantiate_with::<HeatedBars>(messages, &token_of::<HeatedBars>(resources()), resources(), true)
 }
 
 pub(crate) fn initialize(instance: Handle) {
     // SAFETY: numbers only.
     unsafe {
         let (no, yes) = (false.into(), true.into());
-        assert_eq!(
-            fmi3EnterInitializationMode(instance, no, 0.0, 0.0, yes, 1000.0),
-            Status::OK
-        );
+        assert_eq!(fmi3EnterInitializationMode(instance, no, 0.0, 0.0, yes, 1000.0), Status::OK);
         assert_eq!(fmi3ExitInitializationMode(instance), Status::OK);
     }
 }
@@ -108,18 +75,7 @@ pub(crate) fn initialize(instance: Handle) {
 pub(crate) fn step(instance: Handle, time: f64, step: f64) -> Status {
     let (mut a, mut b, mut c, mut last) = (Flag(9), Flag(9), Flag(9), 0.0);
     // SAFETY: the places live through the call.
-    unsafe {
-        fmi3DoStep(
-            instance,
-            time,
-            step,
-            false.into(),
-            &mut a,
-            &mut b,
-            &mut c,
-            &mut last,
-        )
-    }
+    unsafe { fmi3DoStep(instance, time, step, false.into(), &mut a, &mut b, &mut c, &mut last) }
 }
 
 pub(crate) fn get(instance: Handle, reference: u32, values: &mut [f64]) -> Status {

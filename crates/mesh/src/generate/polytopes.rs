@@ -189,6 +189,17 @@ pub fn agglomerate(mesh: &Mesh, size: usize) -> Result<MeshData, InputError> {
     Ok(unite(mesh.data(), &group, Unite::Flat))
 }
 
+/// Unites the cells of each group; `group` gives a number for each cell. A group must be one piece, a ball, in one
+/// region and on one side of every fracture, or [`Mesh::new`] will refuse the result. Faces of the same two cells in one
+/// plane are united, vertices within straight edges dropped. The groups become cells in the order of their first
+/// cells.
+///
+/// # Panics
+/// Where `data` is no sound mesh or `group` is not as long as its cells.
+pub fn unite_cells(data: &MeshData, group: &[usize]) -> MeshData {
+    unite(data, group, Unite::Flat)
+}
+
 /// Clusters of simplices, each a ball.
 struct Clusters<'a> {
     mesh: &'a Mesh,

@@ -1,0 +1,147 @@
+//! Every mesh of the zoo: identities, and what must not depend on numbering, place and size.
+
+mod common;
+
+use common::{check, measure};
+use mesh::{EdgeKind, Mesh, Vec3, zoo};
+
+fn kinds(mesh: &Mesh) -> [usize; 4] {
+    let kinds = [EdgeKind::Inner, EdgeKind::Tip, EdgeKind::Boundary, EdgeKind::Intersection];
+    kinds.map(|kind| (0..mesh.network().edge_count()).filter(|&e| mesh.network().edge_kind(e) == kind).count())
+}
+
+#[test]
+fn identities_hold() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data).unwrap_or_else(|error| panic!("{}: {error}", specimen.name));
+        check(specimen.name, &mesh);
+        assert!((measure(&mesh) / specimen.measure - 1.0).abs() < 1e-12, "{}: {}", specimen.name, measure(&mesh));
+    }
+}
+
+#[test]
+fn the_zoo_has_every_kind_of_fracture_edge() {
+    for zoo in [zoo::plane(), zoo::solid()] {
+        let mut total = [0; 4];
+        for specimen in zoo {
+            let own = kinds(&Mesh::new(specimen.data).unwrap());
+            (0..4).for_each(|i| total[i] += own[i].min(1));
+        }
+        assert!(total.iter().all(|&n| n >= 3), "{total:?}");
+    }
+}
+
+#[test]
+fn numbering_does_not_matter() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data.clone()).unwrap();
+        let (data, new) = specimen.data.renumbered(11);
+        let other = Mesh::new(data).unwrap();
+        check(specimen.name, &other);
+        assert_eq!(other.nodes().count(), mesh.nodes().count(), "{}", specimen.name);
+        assert_eq!(kinds(&other), kinds(&mesh), "{}", specimen.name);
+        for cell in 0..mesh.cell_count() {
+            let (a, b) = (mesh.geometry().cell_measure[cell], other.geometry().cell_measure[new.cells[cell]]);
+            assert!((a - b).abs() < 1e-11 * a, "{}: {a} {b}", specimen.name);
+        }
+        for &face in &mesh.network().faces {
+            let (a, b) = (mesh.geometry().face_normal(face), other.geometry().face_normal(new.faces[face]));
+            assert!(a.distance(b) < 1e-9, "{}: {a} {b}", specimen.name);
+        }
+        assert_ne!(mesh.fingerprint(), other.fingerprint());
+    }
+}
+
+#[test]
+fn motion_and_scale_do_not_matter() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data.clone()).unwrap();
+        let mut data = specimen.data.clone();
+        let axis = if data.dim == 2 { Vec3::Z } else { Vec3::new(1.0, 2.0, -0.5) };
+        data.move_rigidly(axis, 0.7, Vec3::new(3.0, -2.0, if mesh.dim() == 2 { 0.0 } else { 1.0 }));
+        data.scale(100.0);
+        let other = Mesh::new(data).unwrap();
+        check(specimen.name, &other);
+        assert_eq!((other.nodes().count(), kinds(&other)), (mesh.nodes().count(), kinds(&mesh)), "{}", specimen.name);
+        let factor = 100.0_f64.powi(mesh.dim() as i32);
+        assert!((measure(&other) / measure(&mesh) / factor - 1.0).abs() < 1e-11, "{}", specimen.name);
+    }
+}
+
+#[test]
+fn sides_are_swapped() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data.clone()).unwrap();
+        let other = Mesh::with_swapped_sides(specimen.data).unwrap();
+        for face in 0..mesh.face_count() {
+            let ((a, b), (c, d)) = (mesh.face_cells(face), other.face_cells(face));
+            let swapped = mesh.network().number_of_face[face].is_some();
+            assert_eq!((a, b), if swapped { (d.unwrap(), Some(c)) } else { (c, d) }, "{}", specimen.name);
+        }
+    }
+}
+
+#[test]
+fn points_are_located() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data).unwrap();
+        let locator = mesh.locator();
+        let x = mesh.vertices();
+        for cell in 0..mesh.cell_count() {
+            // A point just inside each face.
+            for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
+                let list = mesh.face_vertices(face);
+                let mean = list.iter().map(|&v| x[v]).sum::<Vec3>() / list.len() as f64;
+                let middle = if mesh.dim() == 2 { mean } else { (x[list[0]] + x[list[1]] + mean) / 3.0 };
+                let normal = if mesh.dim() == 2 {
+                    mesh.geometry().face_normal(face)
+                } else {
+                    (x[list[0]] - mean).cross(x[list[1]] - mean).normalize()
+                };
+                let depth = 1e-6 * mesh.geometry().cell_measure[cell]
+                    / mesh.geometry().cell_diameter[cell].powi(mesh.dim() as i32 - 1);
+                let point = middle - sign * depth * normal;
+                // In a face that is not convex the triangle with the mean may lie beside the face.
+                if mesh.dim() == 2 || mesh.cell_faces(cell).len() == 4 {
+                    assert_eq!(locator.locate(point), Some(cell), "{}", specimen.name);
+                }
+                if cell % 16 == 0 {
+                    assert_eq!(locator.locate(point), mesh.locate(point), "{}", specimen.name);
+                }
+                let (first, second) = mesh.face_cells(face);
+                let on_face = locator.locate(mean);
+                if list.len() == mesh.dim() {
+                    assert!(on_face == Some(first) || (on_face.is_some() && on_face == second), "{}", specimen.name);
+                }
+            }
+        }
+        for &point in x {
+            let cell = locator.locate(point).unwrap_or_else(|| panic!("{}: vertex at {point}", specimen.name));
+            assert!(mesh.cell_vertices(cell).iter().any(|&v| x[v].distance(point) < 1e-5), "{}", specimen.name);
+        }
+        assert_eq!(locator.locate(Vec3::new(77.0, 0.5, 0.0)), None);
+        assert_eq!(locator.locate(Vec3::NAN), None);
+        let mut outside = x.iter().fold(Vec3::INFINITY, |m, &p| m.min(p));
+        outside.x -= 1e-6;
+        assert_eq!(locator.locate(outside), None);
+    }
+}
+
+#[test]
+fn fingerprints_tell_meshes_apart() {
+    let all: Vec<String> =
+        zoo::all().into_iter().map(|specimen| Mesh::new(specimen.data).unwrap().fingerprint()).collect();
+    let mut different = all.clone();
+    different.sort();
+    different.dedup();
+    assert_eq!(different.len(), all.len());
+    assert!(all[0].len() == 64 && all[0].chars().all(|c| c.is_ascii_hexdigit()));
+    let one = zoo::plane().swap_remove(0).data;
+    let mut renamed = one.clone();
+    renamed.tags[0].push('x');
+    assert_eq!(Mesh::new(one.clone()).unwrap().fingerprint(), all[0]);
+    assert_eq!(Mesh::new(renamed).unwrap().fingerprint(), all[0]);
+    let mut moved = one;
+    moved.vertices[3].x += 1e-12;
+    assert_ne!(Mesh::new(moved).unwrap().fingerprint(), all[0]);
+}

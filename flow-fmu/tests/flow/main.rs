@@ -1,0 +1,10 @@
+//! Tests of the flow, in one program.
+
+mod common;
+mod convergence;
+mod coupling;
+mod fractures;
+mod input;
+mod patch;
+mod transient;
+mod wells;

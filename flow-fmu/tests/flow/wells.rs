@@ -1,0 +1,124 @@
+//! Wells: rates, pressures, limits, places.
+
+use flow_fmu::{Boundary, Control, Flow, FlowModel, Place, Rock, Spot, Well, WellIndex};
+use mesh::Vec3;
+use mesh::generate::cartesian;
+
+use super::common::*;
+
+fn well(name: &str, place: Place, control: Control, limit: Option<f64>) -> Well {
+    Well { name: name.into(), place, index: WellIndex::Given(2.0), control, limit }
+}
+
+fn flow(wells: Vec<Well>, biot_modulus: Option<f64>) -> Flow {
+    let mut data = cartesian(Vec3::ZERO, Vec3::new(8.0, 8.0, 0.0), [8, 8, 0]);
+    data.mark_fracture("f", |x| x.x == 4.0);
+    let mut model = FlowModel::new(unit_fluid());
+    model.rocks.push(("rock".into(), Rock::isotropic(1.0, 0.1, biot_modulus)));
+    model.fractures.push(("f".into(), fracture(5.0, 100.0)));
+    model.boundaries.push(("left".into(), Boundary::pressure(0.0)));
+    model.wells = wells;
+    Flow::new(mesh(data), model).unwrap()
+}
+
+#[test]
+fn rate_and_pressure_are_two_views_of_a_well() {
+    for place in [Place::Cell(Vec3::new(6.2, 3.7, 0.0)), Place::FractureFace(Vec3::new(4.0, 2.5, 0.0))] {
+        let mut by_rate = flow(vec![well("w", place, Control::Rate(3.0), None)], None);
+        let inputs = by_rate.inputs();
+        let report = by_rate.steady(&inputs).unwrap();
+        assert_eq!(report.wells[0].rate, 3.0);
+        assert!(
+            (inflow(by_rate.mesh(), &report, "left").matrix + 3.0).abs() < 1e-12,
+            "all that is injected leaves on the left"
+        );
+        let mut by_pressure = flow(vec![well("w", place, Control::Pressure(report.wells[0].pressure), None)], None);
+        let inputs = by_pressure.inputs();
+        let other = by_pressure.steady(&inputs).unwrap();
+        assert!((other.wells[0].rate - 3.0).abs() < 1e-12);
+        assert!(distance(&by_rate.state().matrix_pressure, &by_pressure.state().matrix_pressure) < 1e-12);
+        let spot = by_rate.well_spots()[0];
+        match (place, spot) {
+            (Place::Cell(_), Spot::Cell(cell)) => assert_eq!(cell, 6 + 3 * 8),
+            (Place::FractureFace(_), Spot::FractureFace(i)) => {
+                let face = by_rate.mesh().network().faces[i];
+                assert!((by_rate.mesh().geometry().face_center[face].y - 2.5).abs() < 1e-14);
+            }
+            _ => panic!("{spot:?} is not where the well was put"),
+        }
+    }
+}
+
+#[test]
+fn a_limit_takes_over_and_gives_back() {
+    let place = Place::Cell(Vec3::new(6.2, 3.7, 0.0));
+    let mut flow = flow(vec![well("w", place, Control::Rate(3.0), Some(4.0))], Some(1.0));
+    let mut inputs = flow.inputs();
+    let mut was_limited = false;
+    for _ in 0..40 {
+        let report = flow.step(5.0, &inputs).unwrap();
+        let w = report.wells[0];
+        assert!(w.pressure <= 4.0 + 1e-12 && w.rate <= 3.0 + 1e-12);
+        assert!(w.limited == (w.rate < 3.0));
+        assert!(report.balance.total < 1e-12);
+        was_limited |= w.limited;
+    }
+    assert!(was_limited && flow.state().limited[0]);
+    inputs.wells[0] = Control::Rate(0.1);
+    let report = flow.step(5.0, &inputs).unwrap();
+    assert!(!report.wells[0].limited && report.wells[0].rate == 0.1);
+    // A producer's limit is a floor.
+    inputs.wells[0] = Control::Rate(-3.0);
+    flow.step(5.0, &inputs).unwrap();
+}
+
+#[test]
+fn peaceman_on_a_grid_gives_the_radial_pressure() {
+    // A square of 2 × 41 cells of 1 m with the exact logarithm on its sides, K = 1, η = 1, q = 1.
+    let n = 41;
+    let q = 1.0;
+    let half = 0.5 * n as f64;
+    let data = cartesian(Vec3::new(-half, -half, 0.0), Vec3::new(half, half, 0.0), [n, n, 0]);
+    let mesh = mesh(data);
+    let exact = move |r: f64| -q / (2.0 * std::f64::consts::PI) * r.ln();
+    let p = flow_fmu::Function::new(move |x: Vec3, _| exact(x.length()));
+    let mut model = all_pressure(&mesh, flow_fmu::Tensor::IDENTITY, p);
+    model.wells.push(Well {
+        name: "w".into(),
+        place: Place::Cell(Vec3::ZERO),
+        index: WellIndex::Peaceman { radius: 0.05 },
+        control: Control::Rate(q),
+        limit: None,
+    });
+    let (_, report) = steady(&mesh, model);
+    // Peaceman's radius is that of the five-point scheme; here it is near to it.
+    let difference = report.wells[0].pressure - exact(0.05);
+    assert!(difference.abs() < 0.05 * exact(0.05), "{difference} of {}", exact(0.05));
+}
+
+#[test]
+fn peaceman_in_three_dimensions() {
+    // A cell of 2 × 2 × 3 m and K = diag(4, 1, 9); a fracture face of 2 × 3 m and d_f³/12 = 5.
+    let mut data = cartesian(Vec3::ZERO, Vec3::new(4.0, 4.0, 6.0), [2, 2, 2]);
+    data.mark_fracture("f", |x| x.x == 2.0);
+    let mesh = mesh(data);
+    let k = flow_fmu::Tensor::from_diagonal(Vec3::new(4.0, 1.0, 9.0));
+    let mut model = all_pressure(&mesh, k, 0.0.into());
+    model.fractures.push(("f".into(), fracture(5.0, 1.0)));
+    let radius = 0.1;
+    let index = WellIndex::Peaceman { radius };
+    for (name, place) in
+        [("rock", Place::Cell(Vec3::splat(1.0))), ("fracture", Place::FractureFace(Vec3::new(2.0, 1.0, 1.0)))]
+    {
+        model.wells.push(Well { name: name.into(), place, index, control: Control::Rate(2.0), limit: None });
+    }
+    let (flow, report) = steady(&mesh, model);
+    for (w, (strength, area)) in [(2.0 * 3.0, 4.0f64), (5.0, 6.0)].into_iter().enumerate() {
+        let p = match flow.well_spots()[w] {
+            Spot::Cell(cell) => flow.state().matrix_pressure[cell],
+            Spot::FractureFace(i) => flow.fracture_pressure()[i],
+        };
+        let expected = 2.0 * (0.2 * area.sqrt() / radius).ln() / (2.0 * std::f64::consts::PI * strength);
+        assert!((report.wells[w].pressure - p - expected).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,115 @@
+//! Speed of the mechanical unit on C2 and C4: `cargo bench -p tests --bench mechanics [-- c2-400]`.
+//!
+//! The floor of a mechanical solve is one triangular solve (`forward` and `backward`); all other parts are given as
+//! multiples of it.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use mechanics_fmu::{Bubbles, Mechanics, Model, Outcome, Partner, State, StepReport};
+use mesh::Mesh;
+use tests::contact_cases::{network_3d, single_crack};
+
+fn main() {
+    let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    type Case = (&'static str, fn() -> (Mesh, Model));
+    let cases: [Case; 5] = [
+        ("c2-400", || (single_crack::triangles(320.0, 400, 0.06), single_crack::model(320.0))),
+        ("c2-800", || (single_crack::triangles(320.0, 800, 0.035), single_crack::model(320.0))),
+        ("c4-10k", || (network_3d::tetrahedra(0.07, 15), network_3d::model(Bubbles::OneSided))),
+        ("c4-47k", || (network_3d::tetrahedra(0.04, 25), network_3d::model(Bubbles::OneSided))),
+        ("c4-47k-two-sided", || (network_3d::tetrahedra(0.04, 25), network_3d::model(Bubbles::TwoSided))),
+    ];
+    for (name, make) in cases {
+        if wanted.is_empty() || wanted.iter().any(|w| w == name) {
+            run(name, make);
+        }
+    }
+}
+
+fn ms(t: Duration) -> f64 {
+    1e3 * t.as_secs_f64()
+}
+
+fn run(name: &str, make: fn() -> (Mesh, Model)) {
+    let start = Instant::now();
+    let (mesh, model) = make();
+    println!("{name}: {} cells, {} fracture faces", mesh.cell_count(), mesh.network().face_count());
+    println!("  mesh            {:9.1} ms", ms(start.elapsed()));
+    let partner = Partner::uniform(&mesh, 1e5);
+    let before = resident();
+    let start = Instant::now();
+    let mut mechanics = Mechanics::new(Arc::new(mesh), model).unwrap_or_else(|e| panic!("{e}"));
+    let total = start.elapsed();
+    let s = *mechanics.setup();
+    println!(
+        "  set-up          {:9.1} ms, {} unknowns, {:.2} M in the factor",
+        ms(total),
+        s.unknowns,
+        s.factor_entries as f64 / 1e6
+    );
+    println!("    analysis      {:9.1} ms", ms(s.analysis));
+    let ratio = s.assembly.as_secs_f64() / s.factorisation.as_secs_f64();
+    println!("    assembly      {:9.1} ms, {ratio:.2} factorisations", ms(s.assembly));
+    println!("    factorisation {:9.1} ms", ms(s.factorisation));
+    println!("    condensation  {:9.1} ms", ms(s.condensation));
+
+    let mut state = mechanics.rest(0.0);
+    let mut step = |label: &str, time: f64, state: &State| -> State {
+        let clock = Instant::now();
+        let outcome = mechanics.step(state, time, &partner).unwrap_or_else(|e| panic!("{e}"));
+        let Outcome::Converged(new, report) = outcome else { panic!("Newton's method gave up") };
+        show(label, clock.elapsed(), &report);
+        new
+    };
+    // C4 is driven in time; C2 has one load, so that its later steps only test the cost of a solve.
+    for (k, time) in [100.0, 200.0, 300.0, 400.0, 500.0].into_iter().enumerate() {
+        state = step(&format!("step {}", k + 1), time, &state);
+    }
+    step("the last again", 500.0, &state);
+    let peak = peak();
+    println!(
+        "  memory: factor {:.0} MB, peak above the mesh {:.0} MB, {:.2} factors",
+        mb(s.factor_bytes[0]),
+        mb(peak - before),
+        (peak - before) as f64 / s.factor_bytes[0] as f64
+    );
+}
+
+fn show(label: &str, total: Duration, r: &StepReport) {
+    let t = &r.times;
+    let solve = (t.forward + t.backward).as_secs_f64();
+    let newton = t.newton.as_secs_f64() / r.newton.iterations as f64;
+    println!(
+        "  {label:15} {:9.1} ms = {:5.1} triangular solves of {:.1} ms; loads {:.1} ms, energy {:.1} ms; {} Newton iterations of {:.1} ms = {:.1} solves, {} GMRES, {} dense factorisations",
+        ms(total),
+        total.as_secs_f64() / solve,
+        1e3 * solve,
+        ms(t.loads),
+        ms(t.energy),
+        r.newton.iterations,
+        1e3 * newton,
+        newton / solve,
+        r.newton.linear_iterations,
+        r.newton.face_factorisations,
+    );
+}
+
+fn mb(bytes: usize) -> f64 {
+    bytes as f64 / 1e6
+}
+
+/// A line of /proc/self/status in bytes; 0 where there is none.
+fn status(key: &str) -> usize {
+    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = text.lines().find(|l| l.starts_with(key)).unwrap_or_default();
+    1024 * line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0)
+}
+
+fn resident() -> usize {
+    status("VmRSS")
+}
+
+fn peak() -> usize {
+    status("VmHWM")
+}
