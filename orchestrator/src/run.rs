@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use model::{Coupling, Extrapolation, Norm, Time};
+use model::{Coupling, Extrapolation, Norm, Refresh, Time};
 
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
@@ -185,6 +185,9 @@ impl Run {
         if can_roll_back {
             self.each_unit(|unit| unit.save())?;
         }
+        if self.refreshes(Refresh::TimeStep) || self.state.number == 0 {
+            (0..2).try_for_each(|unit| self.get_sensitivities(unit))?;
+        }
         let sensitivities = self.state.sensitivities.clone();
         let mut attempts = Vec::new();
         let mut pace = self.state.pace;
@@ -332,6 +335,9 @@ impl Run {
                 return Ok(Pass::Discarded { unit, reason });
             }
             self.get_outputs(unit, &mut fields)?;
+            if self.refreshes(Refresh::Iteration) {
+                self.get_sensitivities(unit)?;
+            }
             record.seconds[unit] = clock.elapsed().as_secs_f64();
             record.newton[unit] = self.units[unit].newton_iterations();
         }
@@ -348,9 +354,6 @@ impl Run {
             if self.settings.scheme.connected[partner]
                 && let Some(sensitivity) = &field.sensitivity
             {
-                if self.state.sensitivities[f].is_empty() {
-                    self.get_sensitivity(f)?;
-                }
                 let own = format!("{}_reference", self.interface.fields[sensitivity.partner].name);
                 let values = std::mem::take(&mut self.state.sensitivities[f]);
                 self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
@@ -370,20 +373,25 @@ impl Run {
             if let Some(expected) = expected.filter(|&e| e != found) {
                 return Err(CouplingError::Length { field: name, found, expected });
             }
-            if self.settings.scheme.connected[unit] {
-                self.get_sensitivity(f)?;
-            }
         }
         Ok(())
     }
 
-    fn get_sensitivity(&mut self, f: usize) -> Result<(), CouplingError> {
-        let field = &self.interface.fields[f];
-        if let Some(sensitivity) = field.sensitivity.clone() {
-            let unit = field.from;
-            let mut values = std::mem::take(&mut self.state.sensitivities[f]);
-            self.call(unit, |u| u.get(&sensitivity.variable, &mut values))?;
-            self.state.sensitivities[f] = values;
+    fn refreshes(&self, when: Refresh) -> bool {
+        self.settings.coupling.sensitivity.refresh == when
+    }
+
+    /// Asks a unit for the sensitivities that are passed on.
+    fn get_sensitivities(&mut self, unit: usize) -> Result<(), CouplingError> {
+        if !self.settings.scheme.connected[unit] {
+            return Ok(());
+        }
+        for f in self.interface.given_by(unit).collect::<Vec<_>>() {
+            if let Some(sensitivity) = self.interface.fields[f].sensitivity.clone() {
+                let mut values = std::mem::take(&mut self.state.sensitivities[f]);
+                self.call(unit, |u| u.get(&sensitivity.variable, &mut values))?;
+                self.state.sensitivities[f] = values;
+            }
         }
         Ok(())
     }
