@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use model::{Coupling, Extrapolation, Norm, Refresh, Time};
+use model::{Acceleration, Coupling, Extrapolation, Norm, Refresh, Time};
 
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
@@ -245,6 +245,8 @@ impl Run {
         self.state.accelerator.begin();
         let accelerated = self.accelerated();
         let mut least = f64::INFINITY;
+        // The last fields as they came, for where a unit refuses what acceleration made of them.
+        let mut plain = None;
         for iteration in 1..=max_iterations {
             if iteration > 1 {
                 self.each_unit(|unit| unit.restore())?;
@@ -252,6 +254,11 @@ impl Run {
             let (fields, mut record) = match self.pass(&x, step)? {
                 Pass::Done { fields, record } => (fields, record),
                 Pass::Discarded { unit, reason } => {
+                    if let Some(fields) = plain.take() {
+                        x = fields;
+                        self.state.accelerator.begin();
+                        continue;
+                    }
                     let unit = self.units[unit].name().to_owned();
                     attempt.outcome = AttemptOutcome::Discarded { unit, reason };
                     return Ok((attempt, x, residual));
@@ -279,6 +286,7 @@ impl Run {
             let mut flat: Vec<f64> = accelerated.iter().flat_map(|&f| x[f].iter().copied()).collect();
             let r = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
             self.state.accelerator.next(acceleration, &mut flat, r, &weights);
+            plain = (acceleration != Acceleration::None).then(|| fields.clone());
             x = fields;
             let mut next = flat.into_iter();
             for &f in &accelerated {

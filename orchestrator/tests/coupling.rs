@@ -223,6 +223,23 @@ fn a_discarded_step_is_tried_again_with_half() {
     assert!((run.fields()[0][0] / pressure - 1.0).abs() < 1e-9);
 }
 
+/// A unit refuses what a first relaxation by 1.9 makes of the fields, but not the fields as they came.
+#[test]
+fn a_pass_that_acceleration_spoils_is_made_without_it() {
+    let columns = [Column::of_strength(0.5)];
+    let mut flow = Toy::new(true, &columns);
+    // 1.2 times what the first pass gives.
+    flow.least_porosity = 1.2 * 0.8 * toys::load(0.1) / columns[0].stiffness;
+    let units: [Box<dyn Unit>; 2] = [Box::new(flow), Box::new(Toy::new(false, &columns))];
+    let mut settings = settings(Split::FixedStrain, 1);
+    settings.coupling.acceleration = Acceleration::IqnIls { reuse: 0, initial: Number(1.9) };
+    let mut run = Run::new(units, interface(1e-9), settings).unwrap();
+    let record = run.advance().unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(record.attempts.len(), 1);
+    let (pressure, _) = exact(columns[0], 0.1);
+    assert!((run.fields()[0][0] / pressure - 1.0).abs() < 1e-7);
+}
+
 #[test]
 fn a_field_that_is_not_finite_stops_the_run_with_a_report() {
     let columns = [Column::of_strength(2.0)];

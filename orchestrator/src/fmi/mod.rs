@@ -1,4 +1,4 @@
-//! Importer of FMI 3.0 co-simulation units: the other side of [`Unit`](crate::Unit) is a C library.
+//! Importer of FMI 3.0 co-simulation units: the other side of [`Unit`] is a C library.
 //!
 //! - [`Description`]: what `modelDescription.xml` says.
 //! - `library`: the C functions that are used; the only unsafe code.

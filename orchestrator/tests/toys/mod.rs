@@ -50,6 +50,8 @@ pub(crate) struct Toy {
     /// A time step above this (s) that ends after `rejects_after` is discarded.
     pub(crate) rejects_above: f64,
     pub(crate) rejects_after: f64,
+    /// A porosity change below this is refused.
+    pub(crate) least_porosity: f64,
     pub(crate) rolls_back: bool,
     /// From this time on (s) the porosity is not a number.
     pub(crate) breaks_at: f64,
@@ -87,6 +89,7 @@ impl Toy {
             compliance_factor: 1.0,
             rejects_above: f64::INFINITY,
             rejects_after: 0.0,
+            least_porosity: f64::NEG_INFINITY,
             rolls_back: true,
             breaks_at: f64::INFINITY,
             state: State { values, porosity: vec![0.0; n] },
@@ -189,6 +192,9 @@ impl Unit for Toy {
             return Ok(StepOutcome::Discarded { reason: format!("{step} s is too long") });
         }
         if self.is_flow {
+            if self.state.values["matrix.porosity_change"].iter().any(|&p| p < self.least_porosity) {
+                return Ok(StepOutcome::Discarded { reason: "there is no pore left".into() });
+            }
             self.flow(step);
         } else {
             self.mechanics(time + step);
