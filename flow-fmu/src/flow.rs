@@ -16,6 +16,7 @@ use std::sync::Arc;
 
 use linear::{Cholesky, Scratch};
 use mesh::{Mesh, Side, Vec3};
+use serde::{Deserialize, Serialize};
 
 use crate::Tensor;
 use crate::error::{FlowError, Problem};
@@ -26,7 +27,7 @@ use crate::space::Space;
 use crate::wells::{Placed, Spot, place};
 
 /// What comes from outside in a time step: the affine partner, and what the wells are to do.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inputs {
     /// φ*, cells: b (div u − div u⁰).
     pub porosity_change: Vec<f64>,
@@ -81,14 +82,21 @@ struct Factor {
     of: Coefficients,
 }
 
-/// What the last time step leaves beside the state.
-struct Solved {
+/// The equations of a solved time step, to go back to its end with [`Flow::resume`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Linearisation {
     coefficients: Coefficients,
     /// 1/δt, or 0.
     rate: f64,
     porosity_compliance: Vec<f64>,
     aperture_compliance: Vec<f64>,
-    fluxes: Fluxes,
+}
+
+/// What the last time step leaves beside the state.
+struct Solved {
+    linearisation: Arc<Linearisation>,
+    /// `None` where only the linearisation came back.
+    fluxes: Option<Fluxes>,
 }
 
 /// Darcy flow on a mesh.
@@ -227,6 +235,11 @@ impl Flow {
         &self.model
     }
 
+    /// Work done since the flow was made.
+    pub fn work(&self) -> Work {
+        self.work
+    }
+
     /// Number of unknowns of the linear system.
     pub fn unknowns(&self) -> usize {
         self.scheme.unknowns()
@@ -257,6 +270,17 @@ impl Flow {
     /// # Errors
     /// [`FlowError::Invalid`] if it does not fit; then nothing changes.
     pub fn set_state(&mut self, state: State) -> Result<(), FlowError> {
+        self.check_state(&state, None)?;
+        self.state = state;
+        self.solved = None;
+        Ok(())
+    }
+
+    /// Whether a state and the equations that led to it fit.
+    ///
+    /// # Errors
+    /// [`FlowError::Invalid`] with all that does not.
+    pub fn check_state(&self, state: &State, linearisation: Option<&Linearisation>) -> Result<(), FlowError> {
         let (old, mut problems) = (&self.state, Vec::new());
         for (array, new, old) in [
             ("the matrix pressure", &state.matrix_pressure, &old.matrix_pressure),
@@ -271,9 +295,39 @@ impl Flow {
             let (found, expected) = (state.limited.len(), self.wells.len());
             problems.push(Problem::Length { array: "the wells", found, expected });
         }
-        fail_on(problems)?;
+        if let Some(l) = linearisation {
+            let (cells, faces) = (self.state.matrix_pressure.len(), self.state.aperture.len());
+            let c = &l.coefficients;
+            for (array, values, expected) in [
+                ("the diagonal of cells", &c.cell_diagonal, cells),
+                ("the source of cells", &c.cell_source, cells),
+                ("the diagonal of fracture faces", &c.fracture_diagonal, faces),
+                ("the source of fracture faces", &c.fracture_source, faces),
+                ("the conductivity", &c.conductivity, faces),
+                ("the exchange", &c.exchange, faces),
+                ("the porosity compliance", &l.porosity_compliance, cells),
+                ("the aperture compliance", &l.aperture_compliance, faces),
+            ] {
+                check_array(array, values, expected, "finite", f64::is_finite, &mut problems);
+            }
+        }
+        fail_on(problems)
+    }
+
+    /// The equations of the last time step, if there was one since the last [`set_state`](Self::set_state).
+    pub fn linearisation(&self) -> Option<Arc<Linearisation>> {
+        self.solved.as_ref().map(|s| Arc::clone(&s.linearisation))
+    }
+
+    /// Goes to a state, and makes [`linearised_response`](Self::linearised_response) that of the time step which led to
+    /// it. The fluxes do not come back.
+    ///
+    /// # Errors
+    /// [`FlowError::Invalid`] if one of them does not fit; then nothing changes.
+    pub fn resume(&mut self, state: State, linearisation: Arc<Linearisation>) -> Result<(), FlowError> {
+        self.check_state(&state, Some(&linearisation))?;
         self.state = state;
-        self.solved = None;
+        self.solved = Some(Solved { linearisation, fluxes: None });
         Ok(())
     }
 
@@ -314,11 +368,19 @@ impl Flow {
     /// [`FlowError::Invalid`] for wrong inputs, an isolated part, or boundary data that are not finite;
     /// [`FlowError::Closed`], [`FlowError::WellLimits`], [`FlowError::Linear`]. The state is then unchanged.
     pub fn step(&mut self, dt: f64, inputs: &Inputs) -> Result<StepReport, FlowError> {
+        self.step_to(self.state.time + dt, dt, inputs)
+    }
+
+    /// As [`step`](Self::step), where the clock is somebody else's: the time at the end is said to be `time` (s).
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_to(&mut self, time: f64, dt: f64, inputs: &Inputs) -> Result<StepReport, FlowError> {
         if !(dt > 0.0 && dt.is_finite()) {
             let (of, quantity, must) = ("time step".into(), "its length (s)", "positive and finite");
             return Err(FlowError::Invalid(vec![Problem::Value { of, quantity, value: dt, must }]));
         }
-        self.solve(self.state.time + dt, dt.recip(), inputs)
+        self.solve(time, dt.recip(), inputs)
     }
 
     /// Goes to the steady state for the data at the present time. Apertures are those of the state, not of the inputs.
@@ -360,9 +422,10 @@ impl Flow {
     /// Volume rates of the last time step.
     ///
     /// # Errors
-    /// [`FlowError::NothingSolved`] before the first time step and after [`set_state`](Self::set_state).
+    /// [`FlowError::NothingSolved`] before the first time step, after [`set_state`](Self::set_state) and
+    /// [`resume`](Self::resume).
     pub fn fluxes(&self) -> Result<&Fluxes, FlowError> {
-        self.solved.as_ref().map(|s| &s.fluxes).ok_or(FlowError::NothingSolved)
+        self.solved.as_ref().and_then(|s| s.fluxes.as_ref()).ok_or(FlowError::NothingSolved)
     }
 
     /// The derivative of the pressures of the last time step in a direction of the inputs: one solve.
@@ -370,9 +433,7 @@ impl Flow {
     /// # Errors
     /// [`FlowError::NothingSolved`], [`FlowError::Invalid`] for wrong lengths, [`FlowError::Linear`].
     pub fn linearised_response(&mut self, direction: &Perturbation) -> Result<Response, FlowError> {
-        let (Some(solved), Some(factor)) = (&self.solved, &self.factor) else {
-            return Err(FlowError::NothingSolved);
-        };
+        let Some(solved) = self.linearisation() else { return Err(FlowError::NothingSolved) };
         let mut problems = Vec::new();
         let (cells, faces) = (self.state.matrix_pressure.len(), self.state.aperture.len());
         for (array, values, expected) in [
@@ -401,6 +462,9 @@ impl Flow {
         let load = self.scheme.load(&solved.coefficients, &matrix, &fracture);
         let mut x = Vec::new();
         self.scheme.gather(&load, &mut x);
+        // A time step that failed, or another state, may have left the factor of other equations.
+        self.factorise(&solved.coefficients)?;
+        let Some(factor) = &self.factor else { return Err(FlowError::NothingSolved) };
         factor.cholesky.solve(&mut x, &mut self.scratch)?;
         self.work.solves += 1;
         let mut traces = vec![0.0; load.len()];
@@ -424,7 +488,15 @@ impl Flow {
         rock.storage() + self.porosity_of(cell) * self.model.fluid.compressibility()
     }
 
-    fn check_inputs(&self, inputs: &Inputs) -> Vec<Problem> {
+    /// Whether inputs are such that [`step`](Self::step) can take them.
+    ///
+    /// # Errors
+    /// [`FlowError::Invalid`] with all that is wrong.
+    pub fn check_inputs(&self, inputs: &Inputs) -> Result<(), FlowError> {
+        fail_on(self.problems_of(inputs))
+    }
+
+    fn problems_of(&self, inputs: &Inputs) -> Vec<Problem> {
         let mut problems = Vec::new();
         let (cells, faces) = (self.state.matrix_pressure.len(), self.state.aperture.len());
         for (array, values, expected) in [
@@ -459,7 +531,7 @@ impl Flow {
     }
 
     fn solve(&mut self, time: f64, rate: f64, inputs: &Inputs) -> Result<StepReport, FlowError> {
-        let mut problems = self.check_inputs(inputs);
+        let mut problems = self.problems_of(inputs);
         let mut traces = self.state.traces.clone();
         let mut inflow = vec![0.0; traces.len()];
         let mut datum = |d: &Datum, quantity| {
@@ -633,8 +705,8 @@ impl Flow {
             .collect()
     }
 
-    /// Solves for the traces, from those given.
-    fn correct(&mut self, c: &Coefficients, traces: &mut [f64], inflow: &[f64]) -> Result<Evaluation, FlowError> {
+    /// Makes the factor that of these coefficients.
+    fn factorise(&mut self, c: &Coefficients) -> Result<(), FlowError> {
         let kept = self.factor.take_if(|f| !f.of.same_matrix(c));
         if self.factor.is_none() {
             fail_on(self.check_parts(c))?;
@@ -642,6 +714,12 @@ impl Flow {
             self.work.factorisations += 1;
             self.factor = Some(Factor { cholesky, of: c.clone() });
         }
+        Ok(())
+    }
+
+    /// Solves for the traces, from those given.
+    fn correct(&mut self, c: &Coefficients, traces: &mut [f64], inflow: &[f64]) -> Result<Evaluation, FlowError> {
+        self.factorise(c)?;
         let Some(factor) = &self.factor else { return Err(FlowError::NothingSolved) };
         let mut x = Vec::new();
         let mut evaluation = self.scheme.evaluate(c, traces, inflow);
@@ -686,7 +764,7 @@ impl Flow {
                 inputs.aperture[i] + inputs.aperture_compliance[i] * from_reference
             })
             .collect();
-        if let Some(i) = aperture.iter().position(|&d| !(d > 0.0)) {
+        if let Some(i) = aperture.iter().position(|&d| d.is_nan() || d <= 0.0) {
             return Err(FlowError::Closed { fracture_face: i, aperture: aperture[i] });
         }
         let fluxes = self.fluxes_of(&evaluation, inflow);
@@ -710,13 +788,13 @@ impl Flow {
         }
         self.state =
             State { time, matrix_pressure: evaluation.matrix_pressure, traces, porosity_change, aperture, limited };
-        self.solved = Some(Solved {
+        let linearisation = Arc::new(Linearisation {
             coefficients: c,
             rate,
             porosity_compliance: inputs.porosity_compliance.clone(),
             aperture_compliance: inputs.aperture_compliance.clone(),
-            fluxes,
         });
+        self.solved = Some(Solved { linearisation, fluxes: Some(fluxes) });
         Ok(report)
     }
 

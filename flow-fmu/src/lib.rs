@@ -27,7 +27,7 @@
 //! let mut flow = Flow::new(mesh, model)?;
 //! let inputs = flow.inputs();
 //! let report = flow.step(1e4, &inputs)?;
-//! assert!(report.inflow[1].matrix < 0.0);
+//! assert!(report.stored.matrix < 0.0);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -38,10 +38,11 @@ mod model;
 mod report;
 mod scheme;
 mod space;
+pub mod unit;
 mod wells;
 
 pub use error::{FlowError, Problem};
-pub use flow::{Flow, Inputs, Perturbation, Response};
+pub use flow::{Flow, Inputs, Linearisation, Perturbation, Response};
 pub use local::Tensor;
 pub use model::{
     Boundary, Condition, Control, FlowModel, Fluid, Fracture, Function, Place, Rock, StiffnessCap, Well, WellIndex,

@@ -5,6 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use mesh::{Mesh, Vec3};
+use serde::{Deserialize, Serialize};
 
 use crate::Tensor;
 use crate::error::{FlowError, Problem};
@@ -143,7 +144,7 @@ impl Boundary {
 /// Where a well is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
-    /// In the cell that holds the point (the lowest, if several do).
+    /// In the cell that holds the point, see [`Mesh::locate`].
     Cell(Vec3),
     /// In the fracture face that holds the point.
     FractureFace(Vec3),
@@ -164,7 +165,7 @@ pub enum WellIndex {
 }
 
 /// What a well is to do.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Control {
     /// Inject at this rate, m³/s (2D: m²/s); negative: produce.
     Rate(f64),

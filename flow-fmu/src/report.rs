@@ -1,7 +1,9 @@
 //! What is reported of a solved time step.
 
+use serde::{Deserialize, Serialize};
+
 /// The state of the flow: all that the next time step depends on. Cheap to clone.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// t (s).
     pub time: f64,
@@ -18,7 +20,7 @@ pub struct State {
 }
 
 /// Volume rates in m³/s (2D: m²/s) through what a boundary tag names, positive into the domain.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Inflow {
     /// Into the matrix.
     pub matrix: f64,
@@ -27,7 +29,7 @@ pub struct Inflow {
 }
 
 /// What a well does.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WellReport {
     /// Injected, m³/s (2D: m²/s).
     pub rate: f64,
@@ -38,7 +40,7 @@ pub struct WellReport {
 }
 
 /// How well volume is conserved (m³/s, 2D: m²/s), with one flux for both sides of each facet.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Balance {
     /// Largest error of a cell.
     pub cell: f64,
@@ -60,7 +62,7 @@ pub struct Balance {
 /// p ∂t the balance of volume gives, to round-off,
 ///
 /// `storage + damping + dissipation() + deformation = source + boundary + wells + gravity`
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Energy {
     /// Increment of ½ (1/M + φ c_f) p_m² and ½ c_f d_f p_f².
     pub storage: f64,
@@ -101,7 +103,7 @@ impl Energy {
 }
 
 /// Work done since the flow was made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Work {
     /// Symbolic analyses.
     pub analyses: usize,
@@ -112,7 +114,7 @@ pub struct Work {
 }
 
 /// A solved time step.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
     /// Time at its end (s).
     pub time: f64,

@@ -18,12 +18,13 @@ use std::sync::Arc;
 use linear::{Method, Ordering, Par, Pattern, SparseSymmetric, Symbolic};
 use mesh::{Mesh, Side, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::local::{Facet, Tensor, transmissivity};
 use crate::space::{Space, fracture_measure};
 
 /// What changes from one time step to the next.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Coefficients {
     /// s_K, with the mobility of wells that hold a pressure.
     pub(crate) cell_diagonal: Vec<f64>,

@@ -36,7 +36,7 @@ impl Placed {
     }
 }
 
-/// A point counts as inside from this part of a full turn on: half of one on a face, less at edges and vertices.
+/// A point counts as inside a fracture face from this part of a full turn on: half of one on an edge, less at a vertex.
 const INSIDE: f64 = 1e-6;
 
 /// A point counts as on a fracture face up to this part of the face's size from it.
@@ -51,7 +51,7 @@ pub(crate) fn place(
     let mut placed = Vec::new();
     for well in wells {
         let (point, found, outside) = match well.place {
-            Place::Cell(x) => (x, cell_at(mesh, x).map(Spot::Cell), "outside the mesh"),
+            Place::Cell(x) => (x, mesh.locate(x).map(Spot::Cell), "outside the mesh"),
             Place::FractureFace(x) => (x, fracture_face_at(mesh, x).map(Spot::FractureFace), "on no fracture face"),
         };
         let Some(spot) = found else {
@@ -97,45 +97,6 @@ fn index(
         return Err("its radius is not below 0.2 √A, the radius at which a cell of area A feels its mean pressure");
     }
     Ok((2.0 * PI * strength / (equivalent / radius).ln(), scaled))
-}
-
-/// The cell that a point lies in, the one that surrounds it most.
-fn cell_at(mesh: &Mesh, x: Vec3) -> Option<usize> {
-    let mut best = (INSIDE, None);
-    for cell in 0..mesh.cell_count() {
-        let far = mesh.geometry().cell_center[cell].distance(x) > mesh.geometry().cell_diameter[cell];
-        if far {
-            continue;
-        }
-        let faces = mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell));
-        let part: f64 = faces.map(|(&face, &sign)| sign * turn(mesh, face, x)).sum();
-        if part > best.0 * (1.0 + INSIDE) {
-            best = (part, Some(cell));
-        }
-    }
-    best.1
-}
-
-/// The part of a full turn (circle or sphere) that a face takes up as seen from a point; positive if the face's
-/// normal points away from it.
-fn turn(mesh: &Mesh, face: usize, x: Vec3) -> f64 {
-    let list = mesh.face_vertices(face);
-    let at = |k: usize| mesh.vertices()[list[k % list.len()]] - x;
-    if mesh.dim() == 2 {
-        // The normal is the tangent turned clockwise: seen from behind, the face runs counter-clockwise.
-        let (a, b) = (at(0), at(1));
-        return a.cross(b).z.atan2(a.dot(b)) / (2.0 * PI);
-    }
-    let c = (0..list.len()).map(at).sum::<Vec3>() / list.len() as f64;
-    (0..list.len())
-        .map(|k| {
-            // Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30, 1983, equation 8.
-            let (a, b) = (at(k), at(k + 1));
-            let (la, lb, lc) = (a.length(), b.length(), c.length());
-            let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-            2.0 * a.dot(b.cross(c)).atan2(denominator) / (4.0 * PI)
-        })
-        .sum()
 }
 
 /// The fracture face that a point lies on.

@@ -13,13 +13,15 @@
 //! Where the fracture has a normal stiffness k_n, ⟦u⟧_n = λ_n/k_n takes the place of ⟦u⟧_n = 0, also in b_n.
 //! All vectors are in the basis (n⁺, t₁, t₂) of the face.
 
+use serde::{Deserialize, Serialize};
+
 use crate::model::{FractureLaw, Friction};
 
 /// A vector in the basis of a fracture face; in 2D the last component is 0.
 pub(crate) type Local = [f64; 3];
 
 /// What a fracture face does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum ContactState {
     /// The sides do not touch: no traction.
@@ -49,7 +51,7 @@ pub(crate) struct Face {
 }
 
 /// How a face's pressure follows its aperture: p_f = p* − S_f (d_f − d*).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct FacePartner {
     /// p* + S_f d* (Pa).
     pub(crate) offset: f64,
@@ -60,7 +62,7 @@ pub(crate) struct FacePartner {
 /// The law of a face linearised at an increment δ of its jump: corrections of δ that are given, and for each other
 /// component i the equation Σ_j T_ij (force of the bulk on the face)_j + Σ_j H_ij (correction)_j + h_i = 0, where the sums
 /// run over the components of the face and the force is (S δ)_j − r_j after the correction.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Linearised {
     /// The correction of each component that is given; `None` for an unknown.
     pub(crate) given: [Option<f64>; 3],

@@ -15,6 +15,7 @@
 //! - `system`: assembly and the one factorisation.
 //! - [`contact`], `newton`: the contact laws, and the semi-smooth Newton method on the fracture.
 //! - [`mechanics`]: states, steps, and what they give.
+//! - [`unit`]: all this as an FMI 3.0 unit; the modules above know neither FMI nor files.
 //!
 //! Deviation from the literature: the jumps are unknowns in place of the plus side's bubbles, which is the same
 //! discrete problem (see [`space`]).
@@ -26,10 +27,13 @@ pub mod model;
 mod newton;
 pub mod space;
 mod system;
+pub mod unit;
 
 pub use contact::ContactState;
 pub use error::{MechanicsError, ModelProblem};
-pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport, StepTimes};
+pub use mechanics::{
+    Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, SavedState, State, StepReport, StepTimes,
+};
 pub use model::{
     BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, Place,
 };

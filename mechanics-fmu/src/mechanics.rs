@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use linear::{Forward, Scratch};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::contact::{ContactState, Face, FacePartner, Local};
+use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::Model;
 use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur, SingularFracture};
@@ -15,7 +16,7 @@ use crate::space::Space;
 use crate::system::{SetupReport, System, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Partner {
     /// Matrix pressure p_m* (Pa): cells.
     pub matrix_pressure: Vec<f64>,
@@ -26,7 +27,7 @@ pub struct Partner {
 }
 
 /// The part of [`Partner`] that makes pressures follow the deformation.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PartnerResponse {
     /// S ≥ 0 (Pa): cells.
     pub matrix_pressure_stiffness: Vec<f64>,
@@ -68,8 +69,21 @@ pub struct State {
     pub(crate) history: History,
 }
 
+/// A [`State`] in a form that can be written and read; made by [`State::to_saved`], taken by [`Mechanics::load`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedState {
+    time: f64,
+    unknowns: Vec<f64>,
+    multiplier: Vec<f64>,
+    contact: Vec<ContactState>,
+    initial_divergence: Vec<f64>,
+    initial_jump: Vec<f64>,
+    factor: Option<Vec<Linearised>>,
+    history: History,
+}
+
 /// What is remembered of the step that led to a state, for the linearised response and the first guess of the next.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct History {
     previous_jump: Vec<f64>,
     time_step: f64,
@@ -264,7 +278,8 @@ impl Mechanics {
             return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
         }
         self.check_partner(partner)?;
-        self.follow(partner)?;
+        let stiffness = partner.response.as_ref().map_or(&[][..], |r| &r.matrix_pressure_stiffness);
+        self.follow(stiffness)?;
         let mut times = StepTimes::default();
         let mut clock = Instant::now();
         let mut lap = |part: &mut Duration| {
@@ -367,12 +382,18 @@ impl Mechanics {
         Ok(())
     }
 
-    /// Factorises anew if the partner's matrix stiffness is not that of the present factorisation.
-    fn follow(&mut self, partner: &Partner) -> Result<(), MechanicsError> {
-        let wanted = match &partner.response {
-            Some(r) if r.matrix_pressure_stiffness.iter().any(|&s| s != 0.0) => &r.matrix_pressure_stiffness[..],
-            _ => &[],
-        };
+    /// Makes the factorisation that of a matrix stiffness of the partner (Pa, cells; empty for 0), as
+    /// [`response`](Self::response) and [`aperture_compliance`](Self::aperture_compliance) need it at a state that was
+    /// found with it, if other time steps have been made since.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Length`]; a singular system.
+    pub fn follow(&mut self, matrix_stiffness: &[f64]) -> Result<(), MechanicsError> {
+        let (found, expected) = (matrix_stiffness.len(), self.mesh.cell_count());
+        if found != 0 && found != expected {
+            return Err(MechanicsError::Length { field: "matrix pressure stiffness", found, expected });
+        }
+        let wanted = if matrix_stiffness.iter().any(|&s| s != 0.0) { matrix_stiffness } else { &[] };
         if self.stiffness_response != wanted {
             let extra: Vec<f64> = (0..self.mesh.cell_count())
                 .map(|k| wanted.get(k).map_or(0.0, |s| s * self.system.materials[k].biot.powi(2)))
@@ -381,6 +402,11 @@ impl Mechanics {
             self.system.refactorise(&self.mesh, &extra)?;
         }
         Ok(())
+    }
+
+    /// The matrix stiffness of the partner (Pa, cells) that the factorisation is made for; empty for 0.
+    pub fn matrix_stiffness(&self) -> &[f64] {
+        &self.stiffness_response
     }
 
     fn face_partners(&self, partner: &Partner) -> Vec<FacePartner> {
@@ -517,6 +543,47 @@ impl Mechanics {
                 if shear == 0.0 { 0.0 } else { shear / bound }
             })
             .collect()
+    }
+
+    /// Shear modulus μ (Pa) on the plus side of each fracture face.
+    pub fn fracture_rigidity(&self) -> Vec<f64> {
+        let plus = |&face: &usize| self.system.materials[self.mesh.face_cells(face).0].mu;
+        self.mesh.network().faces.iter().map(plus).collect()
+    }
+
+    /// The state that was saved; what follows it has the same bits.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Length`] if it is that of another mesh.
+    pub fn load(&self, saved: SavedState) -> Result<State, MechanicsError> {
+        let (d, faces) = (self.mesh.dim(), self.faces.len());
+        let s = &saved;
+        for (field, found, expected) in [
+            ("displacement", s.unknowns.len(), d * self.system.space.entity_count()),
+            ("multiplier", s.multiplier.len(), d * faces),
+            ("contact state", s.contact.len(), faces),
+            ("initial divergence", s.initial_divergence.len(), self.mesh.cell_count()),
+            ("initial jump", s.initial_jump.len(), d * faces),
+            ("previous jump", s.history.previous_jump.len(), d * faces),
+            ("partner of a fracture face", s.history.partners.len(), faces),
+            ("linearised law", s.factor.as_ref().map_or(faces, Vec::len), faces),
+        ] {
+            if found != expected {
+                return Err(MechanicsError::Length { field, found, expected });
+            }
+        }
+        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
+        let problem = self.fracture_problem(&add_product);
+        Ok(State {
+            time: saved.time,
+            unknowns: saved.unknowns,
+            multiplier: saved.multiplier,
+            contact: saved.contact,
+            initial_divergence: saved.initial_divergence,
+            initial_jump: saved.initial_jump,
+            factor: saved.factor.map(|laws| Arc::new(problem.face_factor(laws))),
+            history: saved.history,
+        })
     }
 
     /// b²/K_dr of each cell (1/Pa): how the porosity of a free body answers to pressure.
@@ -758,6 +825,20 @@ impl State {
     /// Jump ⟦u⟧ (m) in the basis (n⁺, t₁[, t₂]) of each face: fracture faces × d.
     pub fn jump(&self, space: &Space) -> &[f64] {
         &self.unknowns[space.first_jump() * space.dim()..]
+    }
+
+    /// The state in a form that can be written.
+    pub fn to_saved(&self) -> SavedState {
+        SavedState {
+            time: self.time,
+            unknowns: self.unknowns.clone(),
+            multiplier: self.multiplier.clone(),
+            contact: self.contact.clone(),
+            initial_divergence: self.initial_divergence.clone(),
+            initial_jump: self.initial_jump.clone(),
+            factor: self.factor.as_ref().map(|factor| factor.laws().to_vec()),
+            history: self.history.clone(),
+        }
     }
 
     /// Number of faces in a contact state.

@@ -20,7 +20,7 @@
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::lu::partial_pivoting::solve::{solve_in_place, solve_in_place_scratch};
@@ -41,6 +41,8 @@ const KRYLOV: usize = 40;
 /// The preconditioner is renewed, not bordered, when more than one in this many components of the jump have become
 /// known or unknown: bordering k of n takes 2 k n² operations, renewing ⅔ n³.
 const BORDER: usize = 4;
+/// A step leaves the next one a new factor if the border has become wider than one in this many components.
+const STALE: usize = 20;
 /// The preconditioner is renewed when a solve needed more iterations than this.
 const RENEW_ABOVE: usize = 8;
 /// What round-off leaves of a force, as part of the largest given force and of the forces that cancel in S δ. Where nothing
@@ -101,7 +103,8 @@ struct Iterate {
 pub(crate) struct FaceFactor {
     laws: Vec<Linearised>,
     unknowns: Vec<usize>,
-    lu: PartialPivLu<f32>,
+    /// Made on first use, so that states which nothing follows cost nothing.
+    lu: OnceLock<PartialPivLu<f32>>,
 }
 
 /// A [`FaceFactor`] used for other laws. Exact where these differ only in which components are given: a component that
@@ -117,6 +120,13 @@ struct Preconditioner {
     /// Factor's inverse times the columns of the border.
     columns: Mat<f32>,
     corner: PartialPivLu<f32>,
+}
+
+impl FaceFactor {
+    /// The laws that were factorised, from which [`FractureProblem::face_factor`] makes the same factor.
+    pub(crate) fn laws(&self) -> &[Linearised] {
+        &self.laws
+    }
 }
 
 /// The factor that the next linear solve starts from, and the columns of borders that were needed with it: for each
@@ -140,7 +150,7 @@ pub struct NewtonReport {
     pub iterations: usize,
     /// GMRES iterations, all together.
     pub linear_iterations: usize,
-    /// Dense factorisations on the fracture.
+    /// Dense factorisations on the fracture, counting one that is left to the next step.
     pub face_factorisations: usize,
     /// Times that the contact states cycled and Gauss–Seidel sweeps were made.
     pub cycles: usize,
@@ -263,9 +273,25 @@ impl FractureProblem<'_> {
                 at = self.sweep(data, at);
             }
         }
+        self.leave_factor(data, &at, &mut workshop, &mut report);
         let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
         let Iterate { lambda, states, violation, .. } = at;
         Ok(FractureSolution { jump, lambda, states, factor: workshop.factor, report, converged, violation, change })
+    }
+
+    /// Leaves the next step a factor for the states it will start from, where the present one has a wide border.
+    fn leave_factor(&self, data: &FractureData<'_>, at: &Iterate, workshop: &mut Workshop, report: &mut NewtonReport) {
+        let laws = self.linearise(data, at);
+        let stale = workshop.factor.as_ref().is_none_or(|factor| {
+            let is_given = |laws: &[Linearised], k: usize| laws[k / self.dim].given[k % self.dim].is_some();
+            let components = 0..laws.len() * self.dim;
+            let border = components.filter(|&k| is_given(&laws, k) != is_given(&factor.laws, k)).count();
+            border * STALE > factor.unknowns.len()
+        });
+        if stale {
+            report.face_factorisations += 1;
+            workshop.factor = Some(Arc::new(self.face_factor(laws)));
+        }
     }
 
     fn corrected(&self, data: &FractureData<'_>, at: &Iterate, correction: &[f64]) -> Iterate {
@@ -428,11 +454,9 @@ impl FractureProblem<'_> {
         a
     }
 
-    /// The dense factorisation for given laws; the same laws give the same bits.
-    fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
-        let unknowns = unknowns(&laws, self.dim);
-        let lu = self.rows(&laws, &unknowns, &unknowns).partial_piv_lu();
-        FaceFactor { laws, unknowns, lu }
+    /// The dense factorisation for given laws, to be made on first use; the same laws give the same bits.
+    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
+        FaceFactor { unknowns: unknowns(&laws, self.dim), laws, lu: OnceLock::new() }
     }
 
     /// The use of the present factor for given laws; `None` where there is none or renewing it is cheaper.
@@ -455,7 +479,8 @@ impl FractureProblem<'_> {
         for q in new.len()..missing.len() {
             solved[(removed[missing[q] - added.len()], q)] = 1.0;
         }
-        solve_lu(&factor.lu, solved.as_mut());
+        let lu = factor.lu.get_or_init(|| self.rows(&factor.laws, old, old).partial_piv_lu());
+        solve_lu(lu, solved.as_mut());
         for (q, &k) in missing.iter().enumerate() {
             workshop.columns.insert(components[k], solved.col(q).iter().copied().collect());
         }
@@ -543,7 +568,10 @@ impl Preconditioner {
         let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]] as f32);
         // The row of a component that has become known is free to take the multiplier that holds it.
         self.removed.iter().for_each(|&p| x[(p, 0)] = 0.0);
-        solve_lu(&self.factor.lu, x.as_mut());
+        // Made when the border was.
+        if let Some(lu) = self.factor.lu.get() {
+            solve_lu(lu, x.as_mut());
+        }
         let n = self.added.len();
         if n + self.removed.len() > 0 {
             let reached = &self.added_rows * &x;

@@ -27,6 +27,8 @@
 //! S_K(u,v) = Σ_s (u_Ks − Π^K u(x_s))·(v_Ks − Π^K v(x_s)) + Σ_bubbles u_Kσ·v_Kσ
 //! ```
 
+use std::borrow::Cow;
+
 use mesh::{Lists, Mesh, Side, Vec3, tangents};
 
 use crate::model::Bubbles;
@@ -49,7 +51,7 @@ pub struct Space {
 }
 
 /// Local operators of a cell. Its functions are the nodes of the cell and then its bubbles.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CellOperators {
     /// Number of vertices; the further functions are bubbles.
     pub vertex_count: usize,
@@ -154,12 +156,21 @@ impl Space {
 
     /// Local operators of a cell.
     pub fn operators(&self, mesh: &Mesh, cell: usize) -> CellOperators {
+        let mut operators = CellOperators::default();
+        self.fill_operators(mesh, cell, &mut operators);
+        operators
+    }
+
+    /// As [`operators`](Self::operators), in the storage of an earlier cell.
+    pub(crate) fn fill_operators(&self, mesh: &Mesh, cell: usize, out: &mut CellOperators) {
         let geometry = mesh.geometry();
         let vertices = mesh.cell_vertices(cell);
         let n = vertices.len();
         let measure = geometry.cell_measure[cell];
         let center = geometry.cell_center[cell];
-        let mut gradient = vec![Vec3::ZERO; n];
+        let CellOperators { gradient, weight, residual, .. } = out;
+        gradient.clear();
+        gradient.resize(n, Vec3::ZERO);
         for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
             let vectors = &geometry.face_vertex_vector[mesh.data().faces.range(face)];
             for (v, &vector) in mesh.face_vertices(face).iter().zip(vectors) {
@@ -169,22 +180,19 @@ impl Space {
             }
         }
         let faces = &mesh.network().faces;
-        let mut bubble = |list: &[usize], sign: f64| {
+        for (list, sign) in [(self.plus.get(cell), 1.0), (self.minus.get(cell), -1.0)] {
             gradient.extend(list.iter().map(|&i| sign / measure * geometry.face_vector[faces[i]]));
-        };
-        bubble(self.plus.get(cell), 1.0);
-        bubble(self.minus.get(cell), -1.0);
-        let mut weight = geometry.cell_weight[mesh.cell_vertex_lists().range(cell)].to_vec();
-        weight.resize(gradient.len(), 0.0);
+        }
         let m = gradient.len();
-        let mut residual = vec![0.0; n * m];
+        weight.clear();
+        weight.extend_from_slice(&geometry.cell_weight[mesh.cell_vertex_lists().range(cell)]);
+        weight.resize(m, 0.0);
+        residual.clear();
         for (s, &v) in vertices.iter().enumerate() {
             let arm = mesh.vertices()[v] - center;
-            for i in 0..m {
-                residual[s * m + i] = f64::from(i == s) - gradient[i].dot(arm) - weight[i];
-            }
+            residual.extend((0..m).map(|i| f64::from(i == s) - gradient[i].dot(arm) - weight[i]));
         }
-        CellOperators { vertex_count: n, measure, diameter: geometry.cell_diameter[cell], gradient, weight, residual }
+        (out.vertex_count, out.measure, out.diameter) = (n, measure, geometry.cell_diameter[cell]);
     }
 
     /// The unknowns that a cell's functions depend on.
@@ -250,9 +258,16 @@ impl CellOperators {
     /// a_K for Lamé's parameters λ, μ (Pa), with `extra` ≥ 0 (Pa) added to λ in the consistent part only:
     /// (functions·d)² by rows.
     pub fn stiffness(&self, dim: usize, lambda: f64, mu: f64, extra: f64) -> Vec<f64> {
+        let mut a = Vec::new();
+        self.fill_stiffness(dim, lambda, mu, extra, &mut a);
+        a
+    }
+
+    pub(crate) fn fill_stiffness(&self, dim: usize, lambda: f64, mu: f64, extra: f64, a: &mut Vec<f64>) {
         let m = self.gradient.len();
         let width = m * dim;
-        let mut a = vec![0.0; width * width];
+        a.clear();
+        a.resize(width * width, 0.0);
         let volume = self.measure;
         let penalty = self.diameter.powi(dim as i32 - 2) * (2.0 * mu + lambda);
         let consistent = lambda + extra;
@@ -277,14 +292,13 @@ impl CellOperators {
                 }
             }
         }
-        a
     }
 }
 
 impl CellUnknowns {
     /// Pᵀ A P for a matrix over the cell's functions: (entities·d)² by rows.
-    pub fn reduce_matrix(&self, a: Vec<f64>) -> Vec<f64> {
-        let Some(p) = &self.bubbles else { return a };
+    pub fn reduce_matrix<'a>(&self, a: &'a [f64]) -> Cow<'a, [f64]> {
+        let Some(p) = &self.bubbles else { return Cow::Borrowed(a) };
         let rows = a.len().isqrt();
         let width = p.len() / rows;
         let mut ap = vec![0.0; rows * width];
@@ -307,7 +321,7 @@ impl CellUnknowns {
                 }
             }
         }
-        out
+        Cow::Owned(out)
     }
 
     /// Pᵀ v for a functional over the cell's functions.

@@ -13,15 +13,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use linear::{Cholesky, Csr, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
-use mesh::{Mesh, Vec3};
+use mesh::{Lists, Mesh, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
-use crate::space::Space;
+use crate::space::{CellOperators, Space};
 
-/// Cells whose local matrices are in memory at one time.
-const BATCH: usize = 8192;
+/// Cells that a thread works on before their matrices are added up; so many local matrices are in memory.
+const BATCH: usize = 2048;
 
 /// A prescribed unknown.
 pub(crate) struct Fixed {
@@ -236,12 +236,14 @@ fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<faer::M
     Ok(schur)
 }
 
-/// What a cell adds to the system.
-struct CellPart {
-    entities: Vec<u32>,
-    /// Over the free unknowns of the entities.
+/// What a run of cells adds to the system, one behind the other.
+#[derive(Default)]
+struct CellParts {
+    entities: Lists,
+    /// Over the free unknowns of the entities of each cell.
     local: Vec<f64>,
-    divergence: Vec<f64>,
+    /// div_K, as (unknown, value).
+    divergence: Vec<(u32, f64)>,
     /// Entries in rows of fixed unknowns.
     fixed: Vec<(u32, u32, f64)>,
 }
@@ -258,54 +260,60 @@ fn assemble(
     let dim = space.dim();
     let mut row_of_fixed = vec![None; free_of_unknown.len()];
     fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
-    let mut fixed_triplets = Vec::new();
-    let mut divergence_triplets = Vec::new();
-    for first in (0..mesh.cell_count()).step_by(BATCH) {
-        let batch = first..(first + BATCH).min(mesh.cell_count());
-        let parts: Vec<CellPart> = batch
-            .into_par_iter()
-            .map(|cell| {
-                let operators = space.operators(mesh, cell);
-                let unknowns = space.unknowns(mesh, cell);
-                let m = materials[cell];
-                let full = operators.stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]));
-                let full = unknowns.reduce_matrix(full);
-                let divergence = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim)).collect();
-                let divergence = unknowns.reduce_vector(divergence);
-                let entities = unknowns.entities;
-                let numbers: Vec<u32> =
-                    entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)).collect();
-                let width = numbers.len();
-                let mut part = CellPart { entities, local: full, divergence, fixed: Vec::new() };
-                if numbers.iter().any(|&u| row_of_fixed[u as usize].is_some()) {
-                    let mut kept = Vec::with_capacity(width * width);
-                    for (row, &u) in numbers.iter().enumerate() {
-                        let values = &part.local[row * width..][..width];
-                        if let Some(r) = row_of_fixed[u as usize] {
-                            part.fixed.extend(numbers.iter().zip(values).map(|(&column, &v)| (r, column, v)));
-                        } else {
-                            let pairs = numbers.iter().zip(values);
-                            let free = pairs.filter(|(column, _)| free_of_unknown[**column as usize].is_some());
-                            kept.extend(free.map(|(_, v)| v));
-                        }
+    let cells: Vec<usize> = (0..mesh.cell_count()).collect();
+    let compute = |run: &[usize]| {
+        let mut parts = CellParts::default();
+        let (mut operators, mut full) = (CellOperators::default(), Vec::new());
+        for &cell in run {
+            space.fill_operators(mesh, cell, &mut operators);
+            let unknowns = space.unknowns(mesh, cell);
+            let m = materials[cell];
+            operators.fill_stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]), &mut full);
+            let full = unknowns.reduce_matrix(&full);
+            let divergence = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim)).collect();
+            let divergence = unknowns.reduce_vector(divergence);
+            let numbers: Vec<u32> =
+                unknowns.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)).collect();
+            if numbers.iter().all(|&u| row_of_fixed[u as usize].is_none()) {
+                parts.local.extend_from_slice(&full);
+            } else {
+                for (&u, values) in numbers.iter().zip(full.chunks_exact(numbers.len())) {
+                    let pairs = numbers.iter().zip(values);
+                    if let Some(row) = row_of_fixed[u as usize] {
+                        parts.fixed.extend(pairs.map(|(&column, &v)| (row, column, v)));
+                    } else {
+                        let free = pairs.filter(|(column, _)| free_of_unknown[**column as usize].is_some());
+                        parts.local.extend(free.map(|(_, v)| v));
                     }
-                    part.local = kept;
                 }
-                part
-            })
-            .collect();
-        for (cell, part) in (first..).zip(parts) {
-            stiffness.add(&part.entities, &part.local)?;
-            fixed_triplets.extend(part.fixed);
-            let columns = part.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c));
-            divergence_triplets.extend(columns.zip(part.divergence).map(|(column, v)| (cell as u32, column, v)));
+            }
+            parts.divergence.extend(numbers.into_iter().zip(divergence));
+            parts.entities.push(unknowns.entities.iter().map(|&e| e as usize));
+        }
+        parts
+    };
+    let mut fixed_triplets = Vec::new();
+    let mut divergence = Vec::with_capacity(mesh.cell_count());
+    let pattern = Arc::clone(stiffness.pattern());
+    for batch in cells.chunks(BATCH * rayon::current_num_threads()) {
+        let parts: Vec<CellParts> = batch.par_chunks(BATCH).map(compute).collect();
+        for mut part in parts {
+            let (mut local, mut div) = (&part.local[..], &part.divergence[..]);
+            for entities in part.entities.iter() {
+                let blocks: Vec<u32> = entities.iter().map(|&e| e as u32).collect();
+                let width: usize = blocks.iter().map(|&b| pattern.unknowns(b as usize).len()).sum();
+                let (own, rest) = local.split_at(width * width);
+                stiffness.add(&blocks, own)?;
+                local = rest;
+                let (own, rest) = div.split_at(dim * entities.len());
+                divergence.push(own.to_vec());
+                div = rest;
+            }
+            fixed_triplets.append(&mut part.fixed);
         }
     }
     let n = free_of_unknown.len();
-    Ok((
-        Csr::from_triplets(fixed.len(), n, &fixed_triplets)?,
-        Csr::from_triplets(mesh.cell_count(), n, &divergence_triplets)?,
-    ))
+    Ok((Csr::from_triplets(fixed.len(), n, &fixed_triplets)?, Csr::from_rows(n, divergence)?))
 }
 
 /// The prescribed unknowns, ascending.

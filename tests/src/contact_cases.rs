@@ -340,7 +340,7 @@ pub mod network_3d {
     /// If the mesh cannot be made.
     pub fn tetrahedra(size: f64, layers: usize) -> Mesh {
         let names = ["1", "2", "3", "4"];
-        let mut triangles = Triangles::rectangle([0.0; 2], [1.0; 2], 2.0 * size).growth(0.3);
+        let mut triangles = Triangles::rectangle([0.0; 2], [1.0; 2], 1.13 * size).growth(0.3);
         for (name, trace) in names.iter().zip(&TRACES) {
             triangles = triangles.fracture(name, trace, size);
         }

@@ -3,3 +3,4 @@
 pub mod contact_cases;
 pub mod norms;
 pub mod plot;
+pub mod six_fractures;

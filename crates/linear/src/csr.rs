@@ -19,36 +19,47 @@ impl Csr {
     /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`].
     pub fn from_triplets(rows: usize, cols: usize, triplets: &[(u32, u32, f64)]) -> Result<Self, Error> {
         index(rows)?;
-        index(cols)?;
+        let mut by_row = vec![Vec::new(); rows];
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
-            check_index("column", j as usize, cols)?;
-            if !v.is_finite() {
-                return Err(Error::NonFinite { row: i as usize, column: j as usize });
-            }
+            by_row[i as usize].push((j, v));
         }
-        let mut sorted = triplets.to_vec();
-        // Stable, so that repeated places are summed in a fixed order.
-        sorted.sort_by_key(|&(i, j, _)| (i, j));
-        let mut row_ptr = vec![0; rows + 1];
-        let mut col_idx = Vec::with_capacity(sorted.len());
-        let mut values: Vec<f64> = Vec::with_capacity(sorted.len());
-        let mut last = None;
-        for (i, j, v) in sorted {
-            match values.last_mut() {
-                Some(value) if last == Some((i, j)) => *value += v,
-                _ => {
-                    row_ptr[i as usize + 1] += 1;
-                    col_idx.push(j);
-                    values.push(v);
-                    last = Some((i, j));
+        Self::from_rows(cols, by_row)
+    }
+
+    /// A matrix with `cols` columns from its rows, each a list of (column, value) in any order; repeated places are
+    /// summed, in the order given.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`].
+    pub fn from_rows<R>(cols: usize, rows: impl IntoIterator<Item = R>) -> Result<Self, Error>
+    where
+        R: IntoIterator<Item = (u32, f64)>,
+    {
+        index(cols)?;
+        let mut csr = Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() };
+        let mut row = Vec::new();
+        for (i, entries) in rows.into_iter().enumerate() {
+            row.clear();
+            row.extend(entries);
+            row.sort_by_key(|&(j, _)| j);
+            let start = csr.col_idx.len();
+            for &(j, v) in &row {
+                check_index("column", j as usize, cols)?;
+                if !v.is_finite() {
+                    return Err(Error::NonFinite { row: i, column: j as usize });
+                }
+                if csr.col_idx.len() > start && csr.col_idx.last() == Some(&j) {
+                    csr.values.last_mut().into_iter().for_each(|sum| *sum += v);
+                } else {
+                    csr.col_idx.push(j);
+                    csr.values.push(v);
                 }
             }
+            csr.row_ptr.push(csr.col_idx.len());
         }
-        for i in 0..rows {
-            row_ptr[i + 1] += row_ptr[i];
-        }
-        Ok(Self { cols, row_ptr, col_idx, values })
+        index(csr.row_ptr.len() - 1)?;
+        Ok(csr)
     }
 
     /// Number of rows.

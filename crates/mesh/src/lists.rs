@@ -19,6 +19,13 @@ impl Lists {
         Self::default()
     }
 
+    /// The lists that start in `items` at each of `offsets`, whose last entry is the length of `items`; `None` unless
+    /// they start at 0 and do not descend.
+    pub fn from_offsets(offsets: Vec<usize>, items: Vec<usize>) -> Option<Self> {
+        let sound = offsets.first() == Some(&0) && offsets.last() == Some(&items.len()) && offsets.is_sorted();
+        sound.then_some(Self { offsets, items })
+    }
+
     /// Appends one list.
     pub fn push(&mut self, list: impl IntoIterator<Item = usize>) {
         self.items.extend(list);

@@ -11,9 +11,10 @@ use crate::{Geometry, Lists, Mesh, MeshData, MeshError, Network, Nodes, Problem,
 /// A face or cell below this part of its diameter's power is degenerate: a few hundred units of round-off.
 const DEGENERATE: f64 = 1e-13;
 
-/// Whether a measure is no round-off, nor lost because coordinates are too large or too small to be multiplied.
+/// Whether a measure is no round-off, nor lost because coordinates are too large or too small to be multiplied: then
+/// both sides are infinite or zero, or one is NaN.
 fn is_sound(measure: f64, diameter: f64, dim: usize) -> bool {
-    measure.is_finite() && measure > DEGENERATE * diameter.powi(dim as i32)
+    measure > DEGENERATE * diameter.powi(dim as i32)
 }
 
 /// The ridges of a face: its edges in 3D as (lower vertex, higher vertex), its vertices in 2D as (v, v). The

@@ -2,6 +2,7 @@
 
 use mesh::generate::{InputProblem, Triangles};
 use mesh::{EdgeKind, Mesh, Vec3};
+use proptest::prelude::*;
 
 /// Smallest angle of each triangle (degrees), ascending.
 fn angles(mesh: &Mesh) -> Vec<f64> {
@@ -42,7 +43,7 @@ fn a_crack_in_a_wide_domain_has_the_prescribed_faces() {
     assert_eq!(edges(&mesh, EdgeKind::Tip), 2);
     assert!((area(&mesh) - 320.0 * 320.0).abs() < 1e-6);
     let angles = angles(&mesh);
-    assert!(angles[0] > 25.0 && angles[angles.len() / 2] > 45.0, "{} {}", angles[0], angles[angles.len() / 2]);
+    assert!(angles[0] > 30.0 && angles[angles.len() / 2] > 50.0, "{} {}", angles[0], angles[angles.len() / 2]);
     // Sizes reach that far away, neither coarser nor finer.
     let largest = mesh.geometry().face_measure.iter().fold(0.0, |m: f64, &l| m.max(l));
     assert!(largest > 15.0 && largest < 35.0, "{largest}");
@@ -125,7 +126,7 @@ fn the_domain_may_be_a_polygon_that_is_not_convex() {
 fn the_size_function_rules_on_lines_too() {
     let data = Triangles::rectangle([0.0, 0.0], [1.0, 1.0], 0.2)
         .fracture("a", &[[0.2, 0.5], [0.8, 0.5]], 0.1)
-        .size(|x| 0.02 + 0.3 * x.x)
+        .size(|x| 0.02 + 0.2 * x.x)
         .build()
         .unwrap();
     let mesh = Mesh::new(data).unwrap();
@@ -134,12 +135,7 @@ fn the_size_function_rules_on_lines_too() {
         let face = mesh.network().faces.iter().min_by(|a, b| by_distance(a).total_cmp(&by_distance(b))).unwrap();
         mesh.geometry().face_measure[*face]
     };
-    assert!(
-        (near(0.2) / 0.085 - 1.0).abs() < 0.2 && (near(0.7) / 0.1 - 1.0).abs() < 0.1,
-        "{} {}",
-        near(0.2),
-        near(0.7)
-    );
+    assert!((near(0.2) / 0.06 - 1.0).abs() < 0.2 && (near(0.7) / 0.1 - 1.0).abs() < 0.1, "{} {}", near(0.2), near(0.7));
 }
 
 #[test]
@@ -193,4 +189,47 @@ fn all_that_is_wrong_is_reported_at_once() {
     assert!(matches!(error.problems[..], [InputProblem::NotPositive { .. }]), "{error}");
     let error = Triangles::rectangle([0.0, 0.0], [1.0, 1.0], 0.1).size(|_| 1e-12).build().unwrap_err();
     assert!(matches!(error.problems[..], [InputProblem::TooFine { .. }]), "{error}");
+}
+
+/// Points on a coarse lattice, so that fractures meet in all ways, or anywhere.
+fn point() -> impl Strategy<Value = [f64; 2]> {
+    let lattice = (0..=6_i32, 0..=4_i32).prop_map(|(i, j)| [f64::from(i) / 3.0, f64::from(j) / 4.0]);
+    prop_oneof![3 => lattice, 1 => [0.0..2.0, 0.0..1.0]]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    /// Any network is refused with a reason or meshed: conforming, covering the domain, with all its fractures.
+    #[test]
+    fn any_network_is_meshed_or_refused(
+        lines in prop::collection::vec((prop::collection::vec(point(), 2..4), 0.03..0.4), 0..7),
+        growth in 0.05..1.5,
+    ) {
+        let mut triangles = Triangles::rectangle([0.0, 0.0], [2.0, 1.0], 0.3).growth(growth);
+        for (i, (points, size)) in lines.iter().enumerate() {
+            triangles = triangles.fracture(&i.to_string(), points, *size);
+        }
+        match triangles.build() {
+            Ok(data) => {
+                let mesh = Mesh::new(data).map_err(|error| TestCaseError::fail(error.to_string()))?;
+                prop_assert!((area(&mesh) - 2.0).abs() < 1e-9);
+                let wanted: f64 = (lines.iter())
+                    .flat_map(|(points, _)| points.windows(2))
+                    .map(|w| (w[0][0] - w[1][0]).hypot(w[0][1] - w[1][1]))
+                    .sum();
+                prop_assert!((lengths(&mesh).iter().sum::<f64>() - wanted).abs() < 1e-7);
+                let boundary: f64 = ["left", "right", "bottom", "top"]
+                    .iter()
+                    .flat_map(|tag| mesh.tagged_faces(tag))
+                    .map(|face| mesh.geometry().face_measure[face])
+                    .sum();
+                prop_assert!((boundary - 6.0).abs() < 1e-9);
+            }
+            Err(error) => prop_assert!(
+                error.problems.iter().all(|p| matches!(p, InputProblem::Overlap { .. } | InputProblem::ZeroLength { .. })),
+                "{error}"
+            ),
+        }
+    }
 }

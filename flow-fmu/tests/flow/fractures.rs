@@ -90,8 +90,8 @@ fn second_order_at_conducting_and_blocking_fractures() {
         data.mark_fracture("f", |x| x.x == 0.0);
         data
     };
-    let families: [(&dyn Fn(usize) -> MeshData, [usize; 3]); 2] = [(&flat, [8, 16, 32]), (&solid, [6, 12, 24])];
-    for (family, levels) in families {
+    let families: [&dyn Fn(usize) -> MeshData; 2] = [&flat, &solid];
+    for (family, levels) in families.into_iter().zip([[8, 16, 32], [6, 12, 24]]) {
         for (conductivity, transmissivity) in [(10.0, 1e6), (1.0, 1.0), (1e-6, 1e-2)] {
             let errors = levels.map(|n| along_and_across(family(n), conductivity, transmissivity));
             let sizes = levels.map(|n| 1.0 / n as f64);
@@ -104,8 +104,11 @@ fn second_order_at_conducting_and_blocking_fractures() {
     }
 }
 
+/// A fracture: its name, where it is, and its conductivity.
+type Pipe<'a> = (&'a str, &'a dyn Fn(Vec3) -> bool, f64);
+
 /// Fractures in a rock that is almost tight, so that they are a network of pipes.
-fn pipes(fractures: &[(&str, &dyn Fn(Vec3) -> bool, f64)], n: [usize; 3]) -> (flow_fmu::Flow, flow_fmu::StepReport) {
+fn pipes(fractures: &[Pipe], n: [usize; 3]) -> (flow_fmu::Flow, flow_fmu::StepReport) {
     let mut data = unit(n);
     for (name, on, _) in fractures {
         data.mark_fracture(name, on);
@@ -132,7 +135,7 @@ fn fractures_that_cross_share_one_pressure() {
         let up = |x: Vec3| x.x == 0.5;
         let upper = |x: Vec3| x.x == 0.5 && x.y >= 0.5;
         // X with conductivities 1 and 3, T, and L: the crossing is at the mean of the ends, weighted by conductivity.
-        let cases: [(&[(&str, &dyn Fn(Vec3) -> bool, f64)], f64, usize); 3] = [
+        let cases: [(&[Pipe], f64, usize); 3] = [
             (&[("a", &through, 1.0), ("b", &up, 3.0)], 1.0 / (1.0 + 1.0 + 3.0 + 3.0), 4),
             (&[("a", &through, 1.0), ("b", &upper, 1.0)], 1.0 / 3.0, 3),
             (&[("a", &left, 1.0), ("b", &upper, 1.0)], 1.0 / 2.0, 2),

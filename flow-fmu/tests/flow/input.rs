@@ -79,7 +79,8 @@ fn names() {
         m.fractures[0].0 = "g".into();
         m.boundaries.push(("left".into(), Boundary::pressure(1.0)));
         m.boundaries.push(("lid".into(), Boundary::pressure(1.0)));
-        m.wells = vec![well("w", Place::Cell(Vec3::splat(0.1))), well("w", Place::Cell(Vec3::splat(0.1)))];
+        m.wells =
+            vec![well("w", Place::Cell(Vec3::new(0.1, 0.1, 0.0))), well("w", Place::Cell(Vec3::new(0.1, 0.1, 0.0)))];
     });
     let has = |wanted: &dyn Fn(&Problem) -> bool| found.iter().filter(|&p| wanted(p)).count();
     assert_eq!(has(&|p| matches!(p, Problem::Unknown { kind: "region", name, .. } if name == "granite")), 1);

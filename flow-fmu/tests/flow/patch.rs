@@ -47,6 +47,55 @@ fn affine_pressure_with_a_full_tensor() {
 }
 
 #[test]
+fn affine_pressure_on_the_zoo_of_the_mesh() {
+    for mesh::zoo::Specimen { name, mut data, .. } in mesh::zoo::all() {
+        let low = data.vertices.iter().copied().reduce(Vec3::min).unwrap();
+        let size = (data.vertices.iter().copied().reduce(Vec3::max).unwrap() - low).length();
+        let exact = move |x: Vec3| affine((x - low) / size);
+        data.face_fracture.fill(None);
+        data.fractures.clear();
+        data.face_tag.fill(None);
+        data.tags.clear();
+        data.tag_boundary(|_| Some("all"));
+        let mesh = super::common::mesh(data);
+        let mut model = all_pressure(&mesh, full_tensor(), 0.0.into());
+        model.boundaries = vec![("all".into(), Boundary::pressure(Function::new(move |x, _| exact(x))))];
+        let (flow, report) = steady(&mesh, model);
+        let velocity = -(full_tensor() * in_dim(&mesh)) / size;
+        for cell in 0..mesh.cell_count() {
+            let error = flow.state().matrix_pressure[cell] - exact(flow.space().cell_point(cell));
+            assert!(error.abs() < 10.0 * ROUND_OFF, "{name}: pressure of cell {cell} is off by {error:e}");
+        }
+        let largest = mesh.geometry().face_measure.iter().fold(0.0f64, |m, a| m.max(*a));
+        for face in 0..mesh.face_count() {
+            let error = flow.fluxes().unwrap().face[face] - velocity.dot(mesh.geometry().face_vector[face]);
+            let scale = largest * velocity.length();
+            assert!(error.abs() < 100.0 * ROUND_OFF * scale, "{name}: flux of face {face} is off by {error:e}");
+        }
+        assert!(report.balance.total < 1000.0 * report.balance.round_off, "{name}: {:?}", report.balance);
+    }
+}
+
+/// The conductivity is small for the sake of one specimen, a fracture of one face of 1e-6 m with two tips: what it
+/// exchanges must not drown in the round-off of what it conducts.
+#[test]
+fn constant_pressure_on_the_zoo_with_its_fractures() {
+    for mesh::zoo::Specimen { name, mut data, .. } in mesh::zoo::all() {
+        data.face_tag.fill(None);
+        data.tags.clear();
+        data.tag_boundary(|_| Some("all"));
+        let mesh = super::common::mesh(data);
+        let mut model = all_pressure(&mesh, full_tensor(), 0.0.into());
+        model.fractures = mesh.data().fractures.iter().map(|f| (f.clone(), fracture(1e-8, 2.0))).collect();
+        model.boundaries = vec![("all".into(), Boundary::pressure(4.0))];
+        let (flow, _) = steady(&mesh, model);
+        let pressures = flow.state().matrix_pressure.iter().chain(flow.fracture_pressure());
+        let worst = pressures.map(|p| (p - 4.0).abs()).fold(0.0, f64::max);
+        assert!(worst < 100.0 * ROUND_OFF, "{name}: off by {worst:e}");
+    }
+}
+
+#[test]
 fn affine_pressure_from_inflow_data() {
     // Neumann data on all sides but one.
     for name in ["polygons", "polyhedra", "perturbed cubes"] {

@@ -95,3 +95,30 @@ fn peaceman_on_a_grid_gives_the_radial_pressure() {
     let difference = report.wells[0].pressure - exact(0.05);
     assert!(difference.abs() < 0.05 * exact(0.05), "{difference} of {}", exact(0.05));
 }
+
+#[test]
+fn peaceman_in_three_dimensions() {
+    // A cell of 2 × 2 × 3 m and K = diag(4, 1, 9); a fracture face of 2 × 3 m and d_f³/12 = 5.
+    let mut data = cartesian(Vec3::ZERO, Vec3::new(4.0, 4.0, 6.0), [2, 2, 2]);
+    data.mark_fracture("f", |x| x.x == 2.0);
+    let mesh = mesh(data);
+    let k = flow_fmu::Tensor::from_diagonal(Vec3::new(4.0, 1.0, 9.0));
+    let mut model = all_pressure(&mesh, k, 0.0.into());
+    model.fractures.push(("f".into(), fracture(5.0, 1.0)));
+    let radius = 0.1;
+    let index = WellIndex::Peaceman { radius };
+    for (name, place) in
+        [("rock", Place::Cell(Vec3::splat(1.0))), ("fracture", Place::FractureFace(Vec3::new(2.0, 1.0, 1.0)))]
+    {
+        model.wells.push(Well { name: name.into(), place, index, control: Control::Rate(2.0), limit: None });
+    }
+    let (flow, report) = steady(&mesh, model);
+    for (w, (strength, area)) in [(2.0 * 3.0, 4.0f64), (5.0, 6.0)].into_iter().enumerate() {
+        let p = match flow.well_spots()[w] {
+            Spot::Cell(cell) => flow.state().matrix_pressure[cell],
+            Spot::FractureFace(i) => flow.fracture_pressure()[i],
+        };
+        let expected = 2.0 * (0.2 * area.sqrt() / radius).ln() / (2.0 * std::f64::consts::PI * strength);
+        assert!((report.wells[w].pressure - p - expected).abs() < 1e-12);
+    }
+}

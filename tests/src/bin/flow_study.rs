@@ -496,7 +496,7 @@ fn consolidation(output: &Path) -> Outcome<()> {
     let exact = |x: f64, t: f64| -> f64 {
         let term = |k: usize| {
             let m = (k as f64 + 0.5) * PI;
-            2.0 * if k % 2 == 0 { 1.0 } else { -1.0 } / m * (m * x).cos() * (-m * m * t).exp()
+            2.0 * if k.is_multiple_of(2) { 1.0 } else { -1.0 } / m * (m * x).cos() * (-m * m * t).exp()
         };
         (0..200).map(term).sum()
     };

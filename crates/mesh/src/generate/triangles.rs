@@ -4,7 +4,7 @@
 //! 2. Every piece is split into edges of equal length relative to the size that is wanted there. These edges
 //!    are final: where one size is asked for, they have it but for rounding their number.
 //! 3. Points are laid out from there in layers, each proposing six more at the wanted distance around it,
-//!    which are taken where no other point is too close.
+//!    which are taken where no other point or edge is too close.
 //! 4. Constrained Delaunay triangulation (crate `spade`); points are added in triangles that are too large.
 //! 5. Free points are moved to where their neighbours want them, with a triangulation after each round.
 
@@ -24,6 +24,8 @@ use crate::{MeshData, Vec3};
 const SNAP: f64 = 1e-9;
 /// Two points must keep this part of the mean of their sizes.
 const SPACING: f64 = 0.75;
+/// A point must keep this part of the length of an edge of the outline from that edge.
+const CLEARANCE: f64 = 0.45;
 /// A triangle is too large where its circumradius exceeds this part of the size; 0.58 would be equilateral.
 const TOO_LARGE: f64 = 0.85;
 /// Rounds of triangulation, and of movement in each.
@@ -388,6 +390,9 @@ struct Cloud<'a> {
     limit: &'a dyn Fn(DVec2) -> f64,
     /// Points by their place on a grid whose spacing is the power of two below their size.
     grid: FxHashMap<(i32, i64, i64), Vec<usize>>,
+    /// Edges of the outline where points may come too close to them, on a grid by their length.
+    edges: FxHashMap<(i32, i64, i64), Vec<[DVec2; 2]>>,
+    levels: Vec<i32>,
 }
 
 impl<'a> Cloud<'a> {
@@ -410,8 +415,23 @@ impl<'a> Cloud<'a> {
         }
         let field = SizeField::new(points.iter().copied().zip(own).collect(), growth.min(1.0), far);
         let fixed = points.len();
-        let (points_now, sizes, grid) = Default::default();
-        let mut cloud = Self { points: points_now, sizes, fixed, polygon, heading, field, limit, grid };
+        let mut edges: FxHashMap<_, Vec<_>> = FxHashMap::default();
+        let mut levels = Vec::new();
+        for edge in &outline.edges {
+            let [a, b] = edge.ends.map(|k| points[k]);
+            let level = Self::level(a.distance(b));
+            levels.push(level);
+            let reach = DVec2::splat(CLEARANCE * a.distance(b));
+            let (_, i0, j0) = Self::bucket(a.min(b) - reach, level);
+            let (_, i1, j1) = Self::bucket(a.max(b) + reach, level);
+            for i in i0..=i1 {
+                (j0..=j1).for_each(|j| edges.entry((level, i, j)).or_default().push([a, b]));
+            }
+        }
+        levels.sort_unstable();
+        levels.dedup();
+        let (none, sizes, grid) = Default::default();
+        let mut cloud = Self { points: none, sizes, fixed, polygon, heading, field, limit, grid, edges, levels };
         for p in points {
             let size = cloud.size(p, usize::MAX)?;
             cloud.add(p, size);
@@ -441,6 +461,13 @@ impl<'a> Cloud<'a> {
 
     /// Whether a point of this size may stand at `p`.
     fn is_free(&self, p: DVec2, size: f64) -> bool {
+        for &level in &self.levels {
+            for &[a, b] in self.edges.get(&Self::bucket(p, level)).into_iter().flatten() {
+                if nearest(a, b, p).distance_squared(p) < CLEARANCE * CLEARANCE * a.distance_squared(b) {
+                    return false;
+                }
+            }
+        }
         let level = Self::level(size);
         // A neighbour's size differs by less than a factor of two.
         for level in level - 1..=level + 1 {

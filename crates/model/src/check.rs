@@ -1,0 +1,495 @@
+//! What can be wrong with a model that every table of it allows.
+
+use mesh::Mesh;
+
+use crate::description::{Acceleration, Coupling, Criterion, Fracture, Friction, MeshSource, Region, Time, Well};
+use crate::document::quote;
+use crate::expression::{Function, Node, Scope, parse};
+use crate::{ExpressionError, Model, Number, Value};
+
+/// The coupling fields of the two units, with their units of measure.
+pub const FIELDS: [(&str, &str); 4] = [
+    ("matrix.pressure", "Pa"),
+    ("fracture.pressure", "Pa"),
+    ("matrix.porosity_change", "1"),
+    ("fracture.aperture", "m"),
+];
+
+/// Problems as path of the key and message.
+#[derive(Default)]
+struct Log(Vec<(String, String)>);
+
+impl Log {
+    fn add(&mut self, key: impl Into<String>, message: impl Into<String>) {
+        self.0.push((key.into(), message.into()));
+    }
+
+    fn number(&mut self, key: String, value: impl Into<Option<Number>>, ok: impl Fn(f64) -> bool, allowed: &str) {
+        if let Some(Number(value)) = value.into()
+            && !ok(value)
+        {
+            self.add(key, format!("{value} is out of range; it must be {allowed}"));
+        }
+    }
+
+    fn positive(&mut self, key: String, value: impl Into<Option<Number>>) {
+        self.number(key, value, |v| v > 0.0, "positive");
+    }
+
+    fn not_negative(&mut self, key: String, value: impl Into<Option<Number>>) {
+        self.number(key, value, |v| v >= 0.0, "at least 0");
+    }
+}
+
+impl Model {
+    /// Dimension of the mesh, where the description tells it.
+    pub fn dim(&self) -> Option<usize> {
+        let mesh = &self.mesh;
+        match (&mesh.cartesian, &mesh.triangles, &mesh.extrude) {
+            (_, _, Some(_)) => Some(3),
+            (Some(b), ..) => Some(b.low.0.len()),
+            (None, Some(_), None) => Some(2),
+            (None, None, None) => None,
+        }
+    }
+
+    /// Makes a value ready to be evaluated.
+    ///
+    /// # Errors
+    /// An expression that is not sound, or uses what `scope` does not have.
+    pub fn function(&self, value: &Value, scope: Scope) -> Result<Function, ExpressionError> {
+        self.compile(value, scope, &mut Vec::new())
+    }
+
+    /// Names under `[define]` whose meaning is being looked up are in `open`.
+    fn compile(&self, value: &Value, scope: Scope, open: &mut Vec<String>) -> Result<Function, ExpressionError> {
+        match value {
+            Value::Number(value) => Ok(Function::constant(*value)),
+            Value::Expression(text) => parse(text, scope, &mut |name| {
+                let value = self.define.get(name)?;
+                if open.iter().any(|n| n == name) {
+                    return Some(Err(format!("\"{name}\" is defined by itself: {} → {name}", open.join(" → "))));
+                }
+                open.push(name.to_owned());
+                let node = self.compile(value, scope, open).map(Node::from);
+                open.pop();
+                Some(node.map_err(|error| format!("in \"{name}\": {}", error.message)))
+            }),
+        }
+    }
+
+    /// All that can be told without a mesh.
+    pub(crate) fn problems(&self) -> Vec<(String, String)> {
+        let mut log = Log::default();
+        for (key, value, scope) in self.values() {
+            match self.function(value, scope) {
+                Err(error) => log.add(key, error.to_string()),
+                Ok(function) => {
+                    if function.as_constant().is_some_and(|v| !v.is_finite()) {
+                        log.add(key, "the value is not finite");
+                    }
+                }
+            }
+        }
+        // A definition may use more than one place offers; what is wrong everywhere is reported once, here.
+        for (name, value) in &self.define {
+            let key = format!("define.{}", quote(name));
+            let somewhere = [Scope::Boundary, Scope::Fracture];
+            let errors: Vec<_> = somewhere.iter().filter_map(|&s| self.function(value, s).err()).collect();
+            if errors.len() == somewhere.len() {
+                log.add(key.clone(), errors[0].to_string());
+            }
+            if parse(name, Scope::Boundary, &mut |_| Some(Ok(Node::Number(1.0)))).is_err()
+                || parse(name, Scope::Constant, &mut |_| None).is_ok()
+                || parse(name, Scope::Boundary, &mut |_| None).is_ok()
+                || parse(name, Scope::Fracture, &mut |_| None).is_ok()
+            {
+                log.add(key, "this name cannot be defined: it is no name, or has a meaning already");
+            }
+        }
+        check_mesh_source(&self.mesh, &mut log);
+        if self.mechanics.is_none() && self.flow.is_none() {
+            log.add("", "[mechanics] or [flow] is required");
+        }
+        for (name, region) in &self.regions {
+            self.check_region(&format!("regions.{}", quote(name)), region, &mut log);
+        }
+        for (name, fracture) in &self.fractures {
+            self.check_fracture(&format!("fractures.{}", quote(name)), fracture, &mut log);
+        }
+        self.check_mechanics(&mut log);
+        self.check_flow(&mut log);
+        check_time(&self.time, &mut log);
+        check_coupling(&self.coupling, &mut log);
+        for (i, Number(t)) in self.output.times.iter().enumerate() {
+            if !(self.time.start.0..=self.time.end.0).contains(t) {
+                log.add(format!("output.times.{i}"), format!("{t} s is not within time.start and time.end"));
+            }
+        }
+        log.0
+    }
+
+    /// All expressions: path of their key, and what they may depend on.
+    fn values(&self) -> Vec<(String, &Value, Scope)> {
+        let mut list = Vec::new();
+        let mut add = |key: String, value, scope| list.push((key, value, scope));
+        let marks = [("fractures", &self.mesh.fractures), ("regions", &self.mesh.regions), ("tags", &self.mesh.tags)];
+        for (kind, marks) in marks {
+            marks.iter().for_each(|(n, v)| add(format!("mesh.{kind}.{}", quote(n)), v, Scope::Place));
+        }
+        if let Some(limit) = self.mesh.triangles.as_ref().and_then(|t| t.size_limit.as_ref()) {
+            add("mesh.triangles.size_limit".into(), limit, Scope::Place);
+        }
+        for (name, fracture) in &self.fractures {
+            add(format!("fractures.{}.contact_aperture", quote(name)), &fracture.contact_aperture, Scope::Fracture);
+        }
+        add("initial.pressure".into(), &self.initial.pressure, Scope::Place);
+        if let Some(mechanics) = &self.mechanics {
+            for (i, entry) in mechanics.displacement.iter().enumerate() {
+                entry.components().for_each(|(_, key, value)| {
+                    add(format!("mechanics.displacement.{i}.{key}"), value, Scope::Boundary);
+                });
+            }
+            for (i, entry) in mechanics.traction.iter().enumerate() {
+                entry.components().for_each(|(_, key, value)| {
+                    add(format!("mechanics.traction.{i}.{key}"), value, Scope::PlaceAndTime);
+                });
+            }
+            for (i, value) in mechanics.body_force.iter().flatten().enumerate() {
+                add(format!("mechanics.body_force.{i}"), value, Scope::PlaceAndTime);
+            }
+        }
+        if let Some(flow) = &self.flow {
+            for (tag, b) in &flow.boundary {
+                let values =
+                    [("pressure", &b.pressure), ("inflow", &b.inflow), ("fracture_inflow", &b.fracture_inflow)];
+                for (key, value) in values {
+                    if let Some(value) = value {
+                        add(format!("flow.boundary.{}.{key}", quote(tag)), value, Scope::PlaceAndTime);
+                    }
+                }
+            }
+            let sources = [("matrix_source", &flow.matrix_source), ("fracture_source", &flow.fracture_source)];
+            for (key, value) in sources {
+                if let Some(value) = value {
+                    add(format!("flow.{key}"), value, Scope::PlaceAndTime);
+                }
+            }
+        }
+        list
+    }
+
+    fn check_region(&self, key: &str, region: &Region, log: &mut Log) {
+        log.positive(format!("{key}.young_modulus"), region.young_modulus);
+        let nu = |v| v > -1.0 && v < 0.5;
+        log.number(format!("{key}.poisson_ratio"), region.poisson_ratio, nu, "between −1 and 0.5, both excluded");
+        let part = |v: f64| (0.0..=1.0).contains(&v);
+        log.number(format!("{key}.biot_coefficient"), region.biot_coefficient, part, "in 0..1");
+        log.number(format!("{key}.porosity"), region.porosity, |v| (0.0..1.0).contains(&v), "at least 0 and below 1");
+        log.positive(format!("{key}.biot_modulus"), region.biot_modulus);
+        if let (Some(k), Some(dim)) = (&region.permeability, self.dim())
+            && let Some(problem) = k.problem(dim)
+        {
+            log.add(format!("{key}.permeability"), problem);
+        }
+        let mut needed = |there: bool, unit: bool, name: &str, by: &str| {
+            if unit && !there {
+                log.add(format!("{key}.{name}"), format!("this key is required: there is a [{by}]"));
+            }
+        };
+        let (mechanics, flow) = (self.mechanics.is_some(), self.flow.is_some());
+        needed(region.young_modulus.is_some(), mechanics, "young_modulus", "mechanics");
+        needed(region.poisson_ratio.is_some(), mechanics, "poisson_ratio", "mechanics");
+        needed(region.permeability.is_some(), flow, "permeability", "flow");
+    }
+
+    fn check_fracture(&self, key: &str, fracture: &Fracture, log: &mut Log) {
+        match fracture.friction {
+            Friction::None => {}
+            Friction::Tresca { bound } => log.not_negative(format!("{key}.friction.tresca.bound"), bound),
+            Friction::Coulomb { coefficient, cohesion } => {
+                log.not_negative(format!("{key}.friction.coulomb.coefficient"), coefficient);
+                log.not_negative(format!("{key}.friction.coulomb.cohesion"), cohesion);
+            }
+        }
+        let right = std::f64::consts::FRAC_PI_2;
+        let angle = |v: f64| (0.0..right).contains(&v);
+        log.number(
+            format!("{key}.dilation_angle"),
+            fracture.dilation_angle,
+            angle,
+            "in radians, at least 0, below π/2",
+        );
+        log.positive(format!("{key}.normal_stiffness"), fracture.normal_stiffness);
+        log.not_negative(format!("{key}.normal_permeability"), fracture.normal_permeability);
+        if self.flow.is_some() && fracture.normal_permeability.is_none() {
+            log.add(format!("{key}.normal_permeability"), "this key is required: there is a [flow]");
+        }
+        let aperture = self.function(&fracture.contact_aperture, Scope::Fracture).ok().and_then(|f| f.as_constant());
+        log.positive(format!("{key}.contact_aperture"), aperture.map(Number));
+    }
+
+    fn check_mechanics(&self, log: &mut Log) {
+        let Some(mechanics) = &self.mechanics else { return };
+        let dim = self.dim();
+        let outside = |i: usize| dim.is_some_and(|dim| i >= dim);
+        for (i, entry) in mechanics.displacement.iter().enumerate() {
+            let key = format!("mechanics.displacement.{i}");
+            if entry.on.is_empty() == entry.at.is_none() {
+                log.add(key.clone(), "either `on`, boundary tags, or `at`, a point, is required");
+            }
+            if entry.components().next().is_none() {
+                log.add(key.clone(), "at least one of x, y and z is required");
+            }
+            for (_, name, _) in entry.components().filter(|c| outside(c.0)) {
+                log.add(format!("{key}.{name}"), "the mesh has two dimensions");
+            }
+        }
+        for (i, entry) in mechanics.traction.iter().enumerate() {
+            let key = format!("mechanics.traction.{i}");
+            if entry.on.is_empty() {
+                log.add(format!("{key}.on"), "at least one boundary tag is required");
+            }
+            for (_, name, _) in entry.components().filter(|c| outside(c.0)) {
+                log.add(format!("{key}.{name}"), "the mesh has two dimensions");
+            }
+        }
+        if let (Some(force), Some(dim)) = (&mechanics.body_force, dim)
+            && force.len() != dim
+        {
+            log.add("mechanics.body_force", format!("{dim} components are required, not {}", force.len()));
+        }
+        let newton = &mechanics.newton;
+        log.positive("mechanics.newton.beta_factor".into(), newton.beta_factor);
+        log.number("mechanics.newton.tolerance".into(), newton.tolerance, |v| v > 0.0 && v < 1.0, "between 0 and 1");
+        if newton.max_iterations == Some(0) {
+            log.add("mechanics.newton.max_iterations", "it must be at least 1");
+        }
+    }
+
+    fn check_flow(&self, log: &mut Log) {
+        let Some(flow) = &self.flow else { return };
+        log.positive("flow.fluid.viscosity".into(), flow.fluid.viscosity);
+        log.not_negative("flow.fluid.density".into(), flow.fluid.density);
+        log.positive("flow.fluid.bulk_modulus".into(), flow.fluid.bulk_modulus);
+        if let (Some(gravity), Some(dim)) = (&flow.gravity, self.dim())
+            && gravity.0.len() != dim
+        {
+            log.add("flow.gravity", format!("{dim} components are required, not {}", gravity.0.len()));
+        }
+        for (tag, boundary) in &flow.boundary {
+            let key = format!("flow.boundary.{}", quote(tag));
+            match (&boundary.pressure, &boundary.inflow, &boundary.fracture_inflow) {
+                (Some(_), Some(_), _) => log.add(key, "`pressure` and `inflow` contradict each other"),
+                (None, None, None) => log.add(key, "one of `pressure`, `inflow` and `fracture_inflow` is required"),
+                _ => {}
+            }
+        }
+        for (name, well) in &flow.wells {
+            check_well(&format!("flow.wells.{}", quote(name)), well, self.dim(), log);
+        }
+    }
+
+    /// What does not fit the mesh: names on one side that the other does not have.
+    pub(crate) fn mesh_problems(&self, mesh: &Mesh) -> Vec<(String, String)> {
+        let mut log = Log::default();
+        let data = mesh.data();
+        let known = |names: &[String]| {
+            if names.is_empty() { "the mesh has none".into() } else { format!("the mesh has {}", names.join(", ")) }
+        };
+        let mut both = |kind: &str, given: Vec<&String>, found: &[String]| {
+            for name in given.iter().filter(|&&name| !found.contains(name)) {
+                let message = format!("the mesh has nothing of this name; {}", known(found));
+                log.add(format!("{kind}.{}", quote(name)), message);
+            }
+            for name in found.iter().filter(|name| !given.contains(name)) {
+                log.add(format!("{kind}.{}", quote(name)), "the mesh has it, but it is not described here");
+            }
+        };
+        // A region that no cell has any more needs no rock.
+        let mut used = vec![false; data.regions.len()];
+        data.cell_region.iter().for_each(|&r| used[r] = true);
+        let regions: Vec<String> = data.regions.iter().zip(used).filter(|r| r.1).map(|r| r.0.clone()).collect();
+        both("regions", self.regions.keys().collect(), &regions);
+        let network = mesh.network();
+        let mut used = vec![false; data.fractures.len()];
+        network.fracture.iter().for_each(|&f| used[f] = true);
+        let fractures: Vec<String> = data.fractures.iter().zip(used).filter(|f| f.1).map(|f| f.0.clone()).collect();
+        both("fractures", self.fractures.keys().collect(), &fractures);
+
+        let tags: Vec<String> =
+            data.tags.iter().filter(|tag| mesh.tagged_faces(tag).next().is_some()).cloned().collect();
+        let mut tag = |key: String, name: &String| {
+            if !tags.contains(name) {
+                log.add(key, format!("no boundary face has the tag \"{name}\"; {}", known(&tags)));
+            }
+        };
+        if let Some(mechanics) = &self.mechanics {
+            let displacement = mechanics.displacement.iter().map(|d| &d.on).enumerate();
+            let traction = mechanics.traction.iter().map(|d| &d.on).enumerate();
+            for (kind, (i, on)) in displacement.map(|d| ("displacement", d)).chain(traction.map(|d| ("traction", d))) {
+                for (j, name) in on.iter().enumerate() {
+                    tag(format!("mechanics.{kind}.{i}.on.{j}"), name);
+                }
+            }
+        }
+        for name in self.flow.iter().flat_map(|f| f.boundary.keys()) {
+            tag(format!("flow.boundary.{}", quote(name)), name);
+        }
+        log.0
+    }
+}
+
+fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
+    let given = [mesh.cartesian.is_some(), mesh.triangles.is_some(), mesh.file.is_some()];
+    let count = given.iter().filter(|&&g| g).count();
+    if count != 1 {
+        log.add("mesh", format!("exactly one of `box`, `triangles` and `file` is required, not {count}"));
+    }
+    if let Some(b) = &mesh.cartesian {
+        let dim = b.low.0.len();
+        if b.high.0.len() != dim || b.cells.len() != dim {
+            log.add("mesh.box", "`low`, `high` and `cells` must have as many numbers");
+        }
+        if b.low.0.iter().zip(&b.high.0).any(|(low, high)| low >= high) {
+            log.add("mesh.box.high", "every component must be above that of `low`");
+        }
+        if b.cells.contains(&0) {
+            log.add("mesh.box.cells", "every number must be at least 1");
+        }
+        log.number("mesh.box.kershaw".into(), b.kershaw, |v| v > 0.0 && v <= 1.0, "above 0 and at most 1");
+    }
+    if let Some(t) = &mesh.triangles {
+        log.positive("mesh.triangles.size".into(), t.size);
+        log.positive("mesh.triangles.fracture_size".into(), t.fracture_size);
+        log.number("mesh.triangles.growth".into(), t.growth, |v| v > 0.0 && v <= 1.0, "above 0 and at most 1");
+        if (0..2).any(|i| t.low.0[i] >= t.high.0[i]) {
+            log.add("mesh.triangles.high", "every component must be above that of `low`");
+        }
+        for (kind, lines) in [("fractures", &t.fractures), ("interfaces", &t.interfaces)] {
+            for (name, line) in lines {
+                let key = format!("mesh.triangles.{kind}.{}", quote(name));
+                log.positive(format!("{key}.size"), line.size);
+                if line.points.len() < 2 {
+                    log.add(format!("{key}.points"), "a line has at least two points");
+                }
+                if kind == "fractures" && line.size.is_none() && t.fracture_size.is_none() {
+                    log.add(key, "`size`, or `fracture_size` of mesh.triangles, is required");
+                }
+            }
+        }
+    }
+    if let Some(extrude) = &mesh.extrude {
+        if mesh.cartesian.as_ref().is_some_and(|b| b.low.0.len() == 3) {
+            log.add("mesh.extrude", "only a 2D mesh can be extruded");
+        }
+        let levels = &extrude.levels;
+        if levels.len() < 2 || levels.windows(2).any(|pair| pair[0] >= pair[1]) {
+            log.add("mesh.extrude.levels", "at least two heights, ascending, are required");
+        }
+        if extrude.layers.len() + 1 != levels.len() || extrude.layers.contains(&0) {
+            log.add("mesh.extrude.layers", "one number, at least 1, is required between each level and the next");
+        }
+        for (name, range) in &extrude.fractures {
+            let is_level = |z: f64| levels.contains(&Number(z));
+            if !(range.0[0] < range.0[1] && range.0.into_iter().all(is_level)) {
+                let key = format!("mesh.extrude.fractures.{}", quote(name));
+                log.add(key, "two heights, ascending, are required, both in mesh.extrude.levels");
+            }
+        }
+    }
+    if let Some(perturb) = &mesh.perturb {
+        log.number("mesh.perturb.amplitude".into(), perturb.amplitude, |v| (0.0..0.5).contains(&v), "in 0..0.5");
+    }
+    if mesh.cells == crate::Cells::Agglomerate(0) {
+        log.add("mesh.cells.agglomerate", "it must be at least 1");
+    }
+}
+
+fn check_well(key: &str, well: &Well, dim: Option<usize>, log: &mut Log) {
+    let mut one = |a: bool, b: bool, names: &str| {
+        if a == b {
+            log.add(key, format!("exactly one of {names} is required"));
+        }
+    };
+    one(well.cell.is_some(), well.fracture_face.is_some(), "`cell` and `fracture_face`");
+    one(well.rate.is_some(), well.pressure.is_some(), "`rate` and `pressure`");
+    one(well.index.is_some(), well.radius.is_some(), "`index` and `radius`");
+    if well.pressure.is_some() && well.limit.is_some() {
+        log.add(format!("{key}.limit"), "only a well with a rate can have a limit");
+    }
+    log.positive(format!("{key}.index"), well.index);
+    log.positive(format!("{key}.radius"), well.radius);
+    for (name, point) in [("cell", &well.cell), ("fracture_face", &well.fracture_face)] {
+        if let (Some(point), Some(dim)) = (point, dim)
+            && point.0.len() != dim
+        {
+            log.add(format!("{key}.{name}"), format!("{dim} numbers are required, not {}", point.0.len()));
+        }
+    }
+}
+
+fn check_time(time: &Time, log: &mut Log) {
+    if time.end <= time.start {
+        log.add("time.end", "it must be after time.start");
+    }
+    log.positive("time.step".into(), time.step);
+    log.positive("time.minimum".into(), time.minimum);
+    if let (Some(minimum), Some(step)) = (time.minimum, time.step)
+        && minimum > step
+    {
+        log.add("time.minimum", "it must not exceed time.step");
+    }
+    if let Some(adaptive) = &time.adaptive {
+        log.positive("time.adaptive.maximum".into(), adaptive.maximum);
+        log.positive("time.adaptive.target_iterations".into(), adaptive.target_iterations);
+        log.number("time.adaptive.growth".into(), adaptive.growth, |v| v > 1.0, "above 1");
+        for (name, &change) in &adaptive.largest_change {
+            check_field(&format!("time.adaptive.largest_change.{}", quote(name)), name, log);
+            log.positive(format!("time.adaptive.largest_change.{}", quote(name)), change);
+        }
+    }
+}
+
+fn check_field(key: &str, name: &str, log: &mut Log) {
+    if FIELDS.iter().all(|f| f.0 != name) {
+        let known: Vec<_> = FIELDS.iter().map(|f| f.0).collect();
+        log.add(key, format!("there is no coupling field of this name; known: {}", known.join(", ")));
+    }
+}
+
+fn check_coupling(coupling: &Coupling, log: &mut Log) {
+    if coupling.max_iterations == 0 {
+        log.add("coupling.max_iterations", "it must be at least 1");
+    }
+    let relaxation = |v: f64| v > 0.0 && v < 2.0;
+    const RANGE: &str = "above 0 and below 2";
+    let key = |name: &str| format!("coupling.acceleration.{name}");
+    match coupling.acceleration {
+        Acceleration::None => {}
+        Acceleration::Relaxation { factor } => log.number(key("relaxation.factor"), factor, relaxation, RANGE),
+        Acceleration::Aitken { initial } => log.number(key("aitken.initial"), initial, relaxation, RANGE),
+        Acceleration::Anderson { depth, mixing } => {
+            log.number(key("anderson.mixing"), mixing, |v| v > 0.0 && v <= 1.0, "above 0 and at most 1");
+            if depth == 0 {
+                log.add(key("anderson.depth"), "it must be at least 1");
+            }
+        }
+        Acceleration::IqnIls { initial, .. } => log.number(key("iqn_ils.initial"), initial, relaxation, RANGE),
+    }
+    if coupling.loose && coupling.acceleration != Acceleration::None {
+        log.add("coupling.acceleration", "loose coupling has one pass per time step: there is nothing to accelerate");
+    }
+    for (name, &Criterion { tolerance, floor, .. }) in &coupling.criteria {
+        let key = format!("coupling.criteria.{}", quote(name));
+        check_field(&key, name, log);
+        log.positive(format!("{key}.tolerance"), tolerance);
+        log.not_negative(format!("{key}.floor"), floor);
+    }
+    let s = &coupling.sensitivity;
+    let key = |name: &str| format!("coupling.sensitivity.{name}");
+    log.not_negative(key("matrix_compliance_factor"), s.matrix_compliance_factor);
+    log.not_negative(key("fracture_compliance_floor_factor"), s.fracture_compliance_floor_factor);
+    log.positive(key("matrix_stiffness_cap"), s.matrix_stiffness_cap);
+    log.positive(key("fracture_stiffness_cap"), s.fracture_stiffness_cap);
+}

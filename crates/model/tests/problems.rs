@@ -1,0 +1,206 @@
+//! What is wrong with a model is found at once, with its place.
+
+use std::path::Path;
+
+use model::{Document, ModelError, Value};
+
+const GOOD: &str = r#"title = "good"
+[define]
+c = 2
+[mesh.box]
+low = [0, 0]
+high = [1, 1]
+cells = [4, 4]
+[regions.rock]
+young_modulus = 1e9
+poisson_ratio = "1/4"
+permeability = [[2e-15, 1e-16], [1e-16, 1e-15]]
+[mechanics]
+[[mechanics.traction]]
+on = ["top"]
+y = "-c*x"
+[flow]
+boundary.left.pressure = 1e5
+[time]
+end = 10
+[variants]
+fine.mesh.box.cells = [8, 8]
+soft.regions.rock.young_modulus = 1e8
+"#;
+
+fn problems(text: &str, changes: &[&str]) -> Vec<String> {
+    match Document::read("model.toml", text, &[], changes) {
+        Ok(_) => Vec::new(),
+        Err(ModelError::Invalid(problems)) => problems.0.iter().map(ToString::to_string).collect(),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[track_caller]
+fn assert_all(found: &[String], wanted: &[(&str, &str)]) {
+    for (found, (place, part)) in found.iter().zip(wanted) {
+        assert!(found.starts_with(place) && found.contains(part), "{place} {part}: {found}");
+    }
+    assert_eq!(found.len(), wanted.len(), "{found:#?}");
+}
+
+#[test]
+fn a_good_model_has_none() {
+    assert_eq!(problems(GOOD, &[]), [""; 0]);
+}
+
+#[test]
+fn everything_at_once() {
+    let text = r#"titel = "x"
+[mesh.box]
+low = [0, 0, 0, 0]
+high = "a"
+cells = [4, 4]
+colour = 3
+[regions.rock]
+young_modulus = "1 +"
+poissons_ratio = 0.25
+permeability = [1, [2, 3]]
+[regions.salt]
+young_modulus = true
+[fractures.a]
+friction.coulomb.coefficent = 0.5
+[fractures.b]
+friction = "glue"
+contact_aperture = 1
+[mechanics]
+displacement = [{ at = 1 }, { at = [1, 2, 3, 4] }]
+[flow.wells]
+w = { cell = [0.5, 0.5], rat = 1 }
+[coupling]
+split = "fixed"
+max_iterations = -1
+"#;
+    assert_all(
+        &problems(text, &[]),
+        &[
+            ("model.toml:1:1: titel", "unknown field `titel`, expected one of `title`"),
+            ("model.toml:3:7: mesh.box.low", "two or three numbers, not 4"),
+            ("model.toml:4:8: mesh.box.high", "expected a sequence"),
+            ("model.toml:6:1: mesh.box.colour", "unknown field `colour`"),
+            ("model.toml:8:17: regions.rock.young_modulus", "ends too early (character 4)"),
+            ("model.toml:9:1: regions.rock.poissons_ratio", "unknown field"),
+            ("model.toml:10:16: regions.rock.permeability", "numbers (the diagonal) or rows"),
+            ("model.toml:12:17: regions.salt.young_modulus", "a number or an expression in quotes"),
+            ("model.toml:13:1: fractures.a.contact_aperture", "required"),
+            ("model.toml:14:10: fractures.a.friction.coulomb.coefficient", "required"),
+            ("model.toml:14:18: fractures.a.friction.coulomb.coefficent", "coefficient"),
+            ("model.toml:16:12: fractures.b.friction", "unknown variant `glue`, expected"),
+            ("model.toml:19:24: mechanics.displacement.0.at", "expected a sequence"),
+            ("model.toml:19:36: mechanics.displacement.1.at", "two or three numbers, not 4"),
+            ("model.toml:21:26: flow.wells.w.rat", "unknown field `rat`"),
+            ("model.toml:23:9: coupling.split", "expected one of `fixed_strain`"),
+            ("model.toml:24:18: coupling.max_iterations", "usize"),
+            ("title", "this key is required"),
+        ],
+    );
+}
+
+#[test]
+fn contradictions_and_ranges() {
+    let changes = [
+        "mesh.triangles = { low = [0, 0], high = [1, 1], size = 0 }",
+        "regions.rock.poisson_ratio = 0.5",
+        "regions.rock.permeability = [[1, 2], [2, 1]]",
+        "define = { c = 'd + 1', d = 'c', x = 3 }",
+        "initial.pressure = '1e5*t'",
+        "flow.boundary.right = { pressure = 1, inflow = 1 }",
+        "flow.wells.w = { cell = [1, 1, 1], rate = 1, index = 1 }",
+        "coupling = { loose = true, acceleration = 'aitken', criteria = { pressure = { tolerance = 1, floor = 1 } } }",
+    ];
+    // `aitken` takes a table.
+    let found = problems(GOOD, &changes);
+    assert_eq!(found.len(), 1, "{found:#?}");
+    let mut changes = changes;
+    changes[7] = "coupling = { loose = true, acceleration.aitken = {}, criteria.p = { tolerance = 0, floor = 1 } }";
+    let found = problems(GOOD, &changes);
+    for part in [
+        ":4:2: mesh: exactly one of `box`, `triangles` and `file` is required, not 2",
+        "mesh.triangles.size: 0 is out of range",
+        "regions.rock.poisson_ratio: 0.5 is out of range; it must be between",
+        "regions.rock.permeability: the tensor must be positive definite",
+        "define.c: in \"d\": in \"c\": \"d\" is defined by itself",
+        "define.x: this name cannot be defined",
+        "initial.pressure: \"t\" is not known here; x, y, z, pi",
+        "flow.boundary.right: `pressure` and `inflow` contradict",
+        "flow.wells.w.cell: 2 numbers are required, not 3",
+        "coupling.acceleration: loose coupling",
+        "coupling.criteria.p: there is no coupling field of this name; known: matrix.pressure",
+        "coupling.criteria.p.tolerance: 0 is out of range",
+    ] {
+        assert!(found.iter().any(|f| f.contains(part)), "{part}: {found:#?}");
+    }
+}
+
+#[test]
+fn required_keys_depend_on_the_units() {
+    let text = "title = ''\nmesh.box = { low = [0, 0], high = [1, 1], cells = [1, 1] }\nregions.rock = {}\n";
+    assert_all(&problems(text, &[]), &[("[mechanics] or [flow] is required", "")]);
+    assert_all(
+        &problems(text, &["flow = {}", "mechanics = {}"]),
+        &[
+            ("model.toml:3:9: regions.rock.young_modulus", "there is a [mechanics]"),
+            ("model.toml:3:9: regions.rock.poisson_ratio", "there is a [mechanics]"),
+            ("model.toml:3:9: regions.rock.permeability", "there is a [flow]"),
+        ],
+    );
+}
+
+#[test]
+fn syntax_errors_have_places() {
+    assert_all(&problems("title = \n[mesh\nx = 1\n", &[])[..1], &[("model.toml:1:", "")]);
+    let found = problems(GOOD, &["time.end = = 2"]);
+    assert!(found.iter().all(|f| f.starts_with("time.end = = 2:1:")) && !found.is_empty(), "{found:?}");
+}
+
+#[test]
+fn names_must_fit_the_mesh() {
+    let changes = [
+        "mechanics.traction = [{ on = ['up', 'left'], x = 1 }]",
+        "regions.salt = { permeability = 1, \
+        young_modulus = 1, poisson_ratio = 0 }",
+        "mesh.fractures.crack = 'x == 0.5'",
+        "flow.boundary.lid.inflow = 1",
+    ];
+    let document = Document::read("model.toml", GOOD, &[], &changes).unwrap();
+    let error = document.mesh(Path::new("."), &|_| Err(String::new())).unwrap_err().to_string();
+    for part in [
+        "mechanics.traction.0.on.0: no boundary face has the tag \"up\"; the mesh has bottom, left, right, top",
+        "regions.salt: the mesh has nothing of this name; the mesh has rock",
+        "fractures.crack: the mesh has it, but it is not described here",
+        "flow.boundary.lid: no boundary face",
+    ] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+}
+
+#[test]
+fn variants_and_changes() {
+    let read = |variants: &[&str], changes: &[&str]| Document::read("model.toml", GOOD, variants, changes);
+    let cells = |d: &Document| d.model.mesh.cartesian.as_ref().unwrap().cells.clone();
+    assert_eq!(cells(&read(&[], &[]).unwrap()), [4, 4]);
+    let both = read(&["fine", "soft"], &["time.step = 5", "define.c = 'pi'"]).unwrap();
+    assert_eq!(cells(&both), [8, 8]);
+    assert_eq!(both.model.regions["rock"].young_modulus.unwrap().0, 1e8);
+    assert_eq!(both.model.regions["rock"].poisson_ratio.unwrap().0, 0.25);
+    assert_eq!(both.model.define["c"], Value::Expression("pi".into()));
+    let error = read(&["coarse"], &[]).unwrap_err().to_string();
+    assert!(error.contains("there is no variant \"coarse\"; known: fine, soft"), "{error}");
+    let error = read(&[], &["mesh.box.cells = [1]"]).unwrap_err().to_string();
+    assert!(error.contains("model.toml:4:7: mesh.box: `low`, `high` and `cells`"), "{error}");
+    let error = read(&[], &["mesh.box.cells = [0, 1]"]).unwrap_err().to_string();
+    assert!(error.contains("mesh.box.cells = [0, 1]:1:18: mesh.box.cells: every"), "{error}");
+}
+
+#[test]
+fn schema_knows_all_keys() {
+    let schema = model::schema();
+    for key in ["young_modulus", "fracture_compliance_floor_factor", "tip_distance", "iqn_ils"] {
+        assert!(schema.contains(key), "{key}");
+    }
+}

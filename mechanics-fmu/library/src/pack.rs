@@ -1,0 +1,12 @@
+//! Packs the unit: `pack-mechanics RESOURCES FMU`, with `model.toml` and `mesh.h5` in the folder RESOURCES. The library
+//! is expected beside this program.
+
+use fmi_unit::{Log, UnitError};
+use mechanics_fmu::unit::{MechanicsUnit, read};
+
+fn main() -> std::process::ExitCode {
+    coupling::pack_main::<MechanicsUnit>("mechanics_unit", |folder| {
+        let (document, mesh) = read(folder)?;
+        Ok::<_, UnitError>(MechanicsUnit::new(&document, mesh, Log::default())?.documentation())
+    })
+}

@@ -1,0 +1,611 @@
+//! Contact mechanics as an FMI 3.0 co-simulation unit.
+//!
+//! Resources: `model.toml`, the description of the case, and `mesh.h5`, its mesh. A `fmi3DoStep` is one time step; one
+//! that does not converge is discarded. The state of the unit is the equilibrium at the present time with the inputs and
+//! parameters that the host has set.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table};
+use fmi_unit::{
+    Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log, Reference, StepOutcome,
+    Type, Unit, UnitError, Values, ValuesMut, Variable,
+};
+use mesh::{Mesh, Vec3};
+use model::{Document, Point, Scope, TipDistances};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    BoundaryPoint, Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann,
+    NewtonSettings, Outcome, Partner, PartnerResponse, Place, SavedState, State,
+};
+
+/// Contact mechanics behind the FMI.
+pub struct MechanicsUnit {
+    mechanics: Mechanics,
+    table: Arc<Table<Self>>,
+    fingerprint: String,
+    title: String,
+    times: [f64; 3],
+    initial: Initial,
+    log: Log,
+    now: Now,
+}
+
+/// What the start needs.
+struct Initial {
+    pressure: Partner,
+    equilibrium: bool,
+}
+
+/// Everything that changes.
+#[derive(Clone, Debug)]
+pub struct Now {
+    state: State,
+    inputs: Inputs,
+    last: Arc<Last>,
+}
+
+/// What the host has set.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Inputs {
+    partner: Partner,
+    response: PartnerResponse,
+    compliance_factor: f64,
+    compliance_floor: f64,
+}
+
+/// What is remembered of the last time step.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Last {
+    newton_iterations: i64,
+    /// Terms of the energy balance (J): elastic, external, pressure, friction.
+    energies: [f64; 4],
+    /// The partner's matrix stiffness (Pa) by which the state was found, which its linearised responses need; empty if
+    /// it was 0.
+    matrix_stiffness: Vec<f64>,
+}
+
+/// State in its serialised form.
+#[derive(Serialize, Deserialize)]
+struct Saved {
+    state: SavedState,
+    inputs: Inputs,
+    last: Last,
+}
+
+fn write(values: ValuesMut<'_>, source: &[f64]) -> Result<(), UnitError> {
+    values.write(source)
+}
+
+impl MechanicsUnit {
+    /// The unit of a model on its mesh.
+    ///
+    /// # Errors
+    /// A model without mechanics; what the discretisation refuses.
+    pub fn new(document: &Document, mesh: Mesh, log: Log) -> Result<Self, UnitError> {
+        let mesh = Arc::new(mesh);
+        let fingerprint = mesh.fingerprint();
+        let cells = mesh.geometry().cell_center.clone();
+        let faces: Vec<Vec3> = mesh.network().faces.iter().map(|&f| mesh.geometry().face_center[f]).collect();
+        let pressure = document.model.function(&document.model.initial.pressure, Scope::Place)?;
+        let at = |points: &[Vec3]| points.iter().map(|&x| pressure.at(&Point::new(x, 0.0))).collect::<Vec<_>>();
+        let pressure = Partner { matrix_pressure: at(&cells), fracture_pressure: at(&faces), response: None };
+        let sizes = Sizes { cells: cells.len(), fracture_faces: faces.len(), dim: mesh.dim() };
+        let mechanics = Mechanics::new(Arc::clone(&mesh), problem(document, &mesh)?)?;
+        let time = &document.model.time;
+        let mut state = mechanics.rest(time.start.0);
+        mechanics.make_initial(&mut state);
+        let sensitivity = &document.model.coupling.sensitivity;
+        let inputs = Inputs {
+            partner: pressure.clone(),
+            response: PartnerResponse {
+                matrix_pressure_stiffness: vec![0.0; sizes.cells],
+                porosity_change: vec![0.0; sizes.cells],
+                fracture_pressure_stiffness: vec![0.0; sizes.fracture_faces],
+                aperture: mechanics.aperture(&state),
+            },
+            compliance_factor: sensitivity.matrix_compliance_factor.0,
+            compliance_floor: sensitivity.fracture_compliance_floor_factor.0,
+        };
+        Ok(Self {
+            table: Arc::new(table(sizes, &inputs)),
+            fingerprint,
+            title: document.model.title.clone(),
+            times: [time.start.0, time.end.0, time.step.map_or(time.end.0 - time.start.0, |s| s.0)],
+            initial: Initial { pressure, equilibrium: document.model.initial.equilibrium },
+            log,
+            now: Now { state, inputs, last: Arc::default() },
+            mechanics,
+        })
+    }
+
+    fn sizes(&self) -> Sizes {
+        let mesh = self.mechanics.mesh();
+        Sizes { cells: mesh.cell_count(), fracture_faces: mesh.network().face_count(), dim: mesh.dim() }
+    }
+
+    /// The documentation page of the unit.
+    pub fn documentation(&self) -> String {
+        format!(
+            "<h1>{}: contact mechanics</h1>\n{}",
+            self.title,
+            coupling::documentation(Role::Mechanics, self.sizes())
+        )
+    }
+
+    /// Pressures as the step sees them.
+    fn partner(&self) -> Partner {
+        let Inputs { partner, response, .. } = &self.now.inputs;
+        let follows = response.matrix_pressure_stiffness.iter().chain(&response.fracture_pressure_stiffness);
+        let response = follows.into_iter().any(|&s| s != 0.0).then(|| response.clone());
+        Partner { response, ..partner.clone() }
+    }
+
+    fn slips(&self) -> impl Iterator<Item = f64> {
+        let d = self.mechanics.mesh().dim();
+        let jump = self.now.state.jump(self.mechanics.space());
+        let slip = |(g, origin): (&[f64], &[f64])| {
+            g[1..].iter().zip(&origin[1..]).map(|(g, o)| (g - o).powi(2)).sum::<f64>().sqrt()
+        };
+        jump.chunks_exact(d).zip(self.now.state.initial_jump.chunks_exact(d)).map(slip)
+    }
+
+    /// Σ μ |σ| slip (N m; in 2D per metre of thickness).
+    fn seismic_moment(&self) -> f64 {
+        let mesh = self.mechanics.mesh();
+        let rigidity = self.mechanics.fracture_rigidity();
+        (self.slips().zip(&mesh.network().faces).zip(rigidity))
+            .map(|((slip, &face), mu)| mu * mesh.geometry().face_measure[face] * slip)
+            .sum()
+    }
+
+    fn compliance(&mut self) -> Result<Vec<f64>, UnitError> {
+        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
+        let floor = self.now.inputs.compliance_floor;
+        let probed = self.mechanics.aperture_compliance(&self.now.state)?;
+        let scale = self.mechanics.aperture_compliance_scale();
+        Ok(probed.iter().zip(scale).map(|(c, scale)| c.max(floor * scale)).collect())
+    }
+
+    fn aperture_statistics(&self) -> [f64; 3] {
+        let mesh = self.mechanics.mesh();
+        let (mut sum, mut size, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+        for (d, &face) in self.mechanics.aperture(&self.now.state).into_iter().zip(&mesh.network().faces) {
+            let measure = mesh.geometry().face_measure[face];
+            (sum, size, low, high) = (sum + d * measure, size + measure, f64::min(low, d), f64::max(high, d));
+        }
+        [sum / size, low, high]
+    }
+}
+
+/// The variables.
+fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
+    let mut t = Table::<MechanicsUnit>::new(Role::Mechanics, sizes);
+    t.input(
+        "matrix.pressure",
+        &inputs.partner.matrix_pressure,
+        |u, v| write(v, &u.now.inputs.partner.matrix_pressure),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.partner.matrix_pressure),
+    );
+    t.input(
+        "fracture.pressure",
+        &inputs.partner.fracture_pressure,
+        |u, v| write(v, &u.now.inputs.partner.fracture_pressure),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.partner.fracture_pressure),
+    );
+    t.input(
+        "matrix.pressure_stiffness",
+        &inputs.response.matrix_pressure_stiffness,
+        |u, v| write(v, &u.now.inputs.response.matrix_pressure_stiffness),
+        |u, v| Allowed::NotNegative.read(v, &mut u.now.inputs.response.matrix_pressure_stiffness),
+    );
+    t.input(
+        "fracture.pressure_stiffness",
+        &inputs.response.fracture_pressure_stiffness,
+        |u, v| write(v, &u.now.inputs.response.fracture_pressure_stiffness),
+        |u, v| Allowed::NotNegative.read(v, &mut u.now.inputs.response.fracture_pressure_stiffness),
+    );
+    t.reference_of(
+        "matrix.porosity_change",
+        &inputs.response.porosity_change,
+        |u, v| write(v, &u.now.inputs.response.porosity_change),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.response.porosity_change),
+    );
+    t.reference_of(
+        "fracture.aperture",
+        &inputs.response.aperture,
+        |u, v| write(v, &u.now.inputs.response.aperture),
+        |u, v| Allowed::Finite.read(v, &mut u.now.inputs.response.aperture),
+    );
+    t.output("matrix.porosity_change", |u, v| write(v, &u.mechanics.porosity_change(&u.now.state)));
+    t.output("fracture.aperture", |u, v| write(v, &u.mechanics.aperture(&u.now.state)));
+    t.output("matrix.porosity_compliance", |u, v| {
+        let factor = u.now.inputs.compliance_factor;
+        write(v, &u.mechanics.porosity_compliance().iter().map(|c| factor * c).collect::<Vec<_>>())
+    });
+    t.output("fracture.aperture_compliance", |u, v| write(v, &u.compliance()?));
+    t.output("fracture.displacement_jump", |u, v| write(v, u.now.state.jump(u.mechanics.space())));
+    t.output("fracture.traction", |u, v| write(v, &u.now.state.multiplier.iter().map(|l| -l).collect::<Vec<_>>()));
+    t.output("fracture.contact_state", |u, v| {
+        v.write(&u.now.state.contact.iter().map(|&s| s as i64).collect::<Vec<_>>())
+    });
+    t.add(
+        |r| {
+            Variable::output(r, "mesh.fingerprint", Type::String)
+                .describe("Hash of the mesh's topology and coordinates")
+        },
+        |u, v| v.write(std::slice::from_ref(&u.fingerprint)),
+        None,
+    );
+    let float = |name: &'static str, unit: &'static str, about: &'static str| {
+        move |r| Variable::output(r, name, Type::Float64).unit(unit).describe(about)
+    };
+    let count =
+        |name: &'static str, about: &'static str| move |r| Variable::output(r, name, Type::Int64).describe(about);
+    if sizes.fracture_faces > 0 {
+        t.add(float("aperture.mean", "m", "Mean aperture"), |u, v| write(v, &[u.aperture_statistics()[0]]), None);
+        t.add(float("aperture.min", "m", "Smallest aperture"), |u, v| write(v, &[u.aperture_statistics()[1]]), None);
+        t.add(float("aperture.max", "m", "Largest aperture"), |u, v| write(v, &[u.aperture_statistics()[2]]), None);
+        t.add(
+            float("slip.max", "m", "Largest slip since the initial state"),
+            |u, v| write(v, &[u.slips().fold(0.0, f64::max)]),
+            None,
+        );
+        t.add(
+            float("slip_tendency.max", "1", "Largest |tangential traction| / bound of friction"),
+            |u, v| write(v, &[u.mechanics.slip_tendency(&u.now.state).into_iter().fold(0.0, f64::max)]),
+            None,
+        );
+        t.add(
+            float("seismic_moment", "N.m", "Sum of shear modulus x area x slip since the initial state"),
+            |u, v| write(v, &[u.seismic_moment()]),
+            None,
+        );
+        t.add(
+            float(
+                "moment_magnitude",
+                "1",
+                "2/3 (log10 of the seismic moment in N.m - 9.1); minus infinity without slip",
+            ),
+            |u, v| write(v, &[2.0 / 3.0 * (u.seismic_moment().log10() - 9.1)]),
+            None,
+        );
+        t.add(
+            count("contact.open", "Number of open fracture faces"),
+            |u, v| v.write(&[u.now.state.count(ContactState::Open) as i64]),
+            None,
+        );
+        t.add(
+            count("contact.stick", "Number of sticking fracture faces"),
+            |u, v| v.write(&[u.now.state.count(ContactState::Stick) as i64]),
+            None,
+        );
+        t.add(
+            count("contact.slip", "Number of slipping fracture faces"),
+            |u, v| v.write(&[u.now.state.count(ContactState::Slip) as i64]),
+            None,
+        );
+    }
+    t.add(
+        count("newton.iterations", "Newton iterations of the last step"),
+        |u, v| v.write(&[u.now.last.newton_iterations]),
+        None,
+    );
+    t.add(float("energy.elastic", "J", "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
+    t.add(
+        float("energy.external_work", "J", "Work of loads and prescribed displacements in the last step"),
+        |u, v| write(v, &[u.now.last.energies[1]]),
+        None,
+    );
+    t.add(
+        float("energy.pressure_work", "J", "Work of the pressures in the last step"),
+        |u, v| write(v, &[u.now.last.energies[2]]),
+        None,
+    );
+    t.add(
+        float("energy.friction", "J", "Dissipation of friction in the last step"),
+        |u, v| write(v, &[u.now.last.energies[3]]),
+        None,
+    );
+    t.add(
+        |r| {
+            Variable::parameter(r, "porosity_compliance.factor", Type::Float64)
+                .tunable()
+                .unit("1")
+                .start(inputs.compliance_factor)
+                .describe("Factor on b2/K_dr in matrix.porosity_compliance")
+        },
+        |u, v| write(v, &[u.now.inputs.compliance_factor]),
+        Some(|u, v| {
+            u.now.inputs.compliance_factor = Allowed::NotNegative.scalar(v)?;
+            Ok(())
+        }),
+    );
+    if sizes.fracture_faces > 0 {
+        t.add(
+            |r| {
+                Variable::parameter(r, "aperture_compliance.floor", Type::Float64)
+                    .tunable()
+                    .unit("1")
+                    .start(inputs.compliance_floor)
+                    .describe(
+                        "fracture.aperture_compliance is at least this times fracture length / plane-strain modulus",
+                    )
+            },
+            |u, v| write(v, &[u.now.inputs.compliance_floor]),
+            Some(|u, v| {
+                u.now.inputs.compliance_floor = Allowed::NotNegative.scalar(v)?;
+                Ok(())
+            }),
+        );
+    }
+    t
+}
+
+impl Unit for MechanicsUnit {
+    type State = Now;
+
+    fn instantiate(environment: &Environment) -> Result<Self, UnitError> {
+        let folder = environment.resource("")?;
+        let (document, mesh) = read(&folder)?;
+        Self::new(&document, mesh, environment.log.clone())
+    }
+
+    fn description(&self) -> Description {
+        let [start, stop, step] = self.times;
+        Description::new(&format!("{} (mechanics)", self.title), "mechanics")
+            .about("Frictional contact mechanics of a fractured rock: bubble virtual elements, semi-smooth Newton")
+            .version(env!("CARGO_PKG_VERSION"))
+            .license(env!("CARGO_PKG_LICENSE"))
+            .capabilities(Capabilities {
+                state: true,
+                serialize: true,
+                directional_derivative: true,
+                ..Capabilities::default()
+            })
+            .default_experiment(DefaultExperiment { start, stop, step })
+            .log_category("solver", "What the solver does")
+            .units(coupling::units())
+            .time_unit("s")
+            .enumerations([Enumeration::new(CONTACT_STATE)
+                .item("open", ContactState::Open as i64)
+                .item("stick", ContactState::Stick as i64)
+                .item("slip", ContactState::Slip as i64)])
+            .variables(self.table.variables())
+            .terminals(self.table.terminals())
+    }
+
+    fn get(&mut self, variable: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
+        let table = Arc::clone(&self.table);
+        table.get(self, variable, values)
+    }
+
+    fn set(&mut self, variable: Reference, values: Values<'_>) -> Result<(), UnitError> {
+        let table = Arc::clone(&self.table);
+        table.set(self, variable, values)
+    }
+
+    fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError> {
+        let mut state = self.mechanics.rest(experiment.start);
+        if self.initial.equilibrium {
+            match self.mechanics.step(&state, experiment.start, &self.initial.pressure)? {
+                Outcome::Converged(found, _) => state = found,
+                Outcome::NotConverged(report) => {
+                    return Err(format!(
+                        "no initial equilibrium: after {} Newton iterations a contact law is violated by {:e} Pa",
+                        report.newton.iterations, report.violation
+                    )
+                    .into());
+                }
+            }
+        }
+        self.mechanics.make_initial(&mut state);
+        self.now.state = state;
+        self.now.last = Arc::default();
+        Ok(())
+    }
+
+    fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError> {
+        let partner = self.partner();
+        match self.mechanics.step(&self.now.state, time + step, &partner)? {
+            Outcome::Converged(state, report) => {
+                self.now.state = state;
+                let e = report.energy;
+                self.now.last = Arc::new(Last {
+                    newton_iterations: report.newton.iterations as i64,
+                    energies: [e.elastic, e.external_work, e.pressure_work, e.friction],
+                    matrix_stiffness: self.mechanics.matrix_stiffness().to_vec(),
+                });
+                self.log.info("solver", format!("t = {} s: {:?}", time + step, report.newton));
+                Ok(StepOutcome::Completed)
+            }
+            Outcome::NotConverged(report) => Ok(StepOutcome::Discarded(format!(
+                "no convergence to t = {} s: after {} Newton iterations, {} of them cycling, a contact law is violated by {:e} Pa",
+                time + step,
+                report.newton.iterations,
+                report.newton.cycles,
+                report.violation
+            ))),
+        }
+    }
+
+    fn save(&mut self) -> Result<Now, UnitError> {
+        Ok(self.now.clone())
+    }
+
+    fn restore(&mut self, state: &Now) -> Result<(), UnitError> {
+        self.now.clone_from(state);
+        Ok(())
+    }
+
+    fn serialize(&self, state: &Now) -> Result<Vec<u8>, UnitError> {
+        let saved =
+            Saved { state: state.state.to_saved(), inputs: state.inputs.clone(), last: Last::clone(&state.last) };
+        Ok(postcard::to_stdvec(&saved)?)
+    }
+
+    fn deserialize(&self, bytes: &[u8]) -> Result<Now, UnitError> {
+        let Saved { state, inputs, last } = postcard::from_bytes(bytes)?;
+        let sizes = self.sizes();
+        let fits = |values: &[f64], expected: usize| values.len() == expected;
+        let r = &inputs.response;
+        if !(fits(&inputs.partner.matrix_pressure, sizes.cells)
+            && fits(&inputs.partner.fracture_pressure, sizes.fracture_faces)
+            && fits(&r.matrix_pressure_stiffness, sizes.cells)
+            && fits(&r.porosity_change, sizes.cells)
+            && fits(&r.fracture_pressure_stiffness, sizes.fracture_faces)
+            && fits(&r.aperture, sizes.fracture_faces)
+            && (last.matrix_stiffness.is_empty() || fits(&last.matrix_stiffness, sizes.cells)))
+        {
+            return Err("the state belongs to another mesh".into());
+        }
+        Ok(Now { state: self.mechanics.load(state)?, inputs, last: Arc::new(last) })
+    }
+
+    fn directional_derivative(
+        &mut self,
+        unknowns: &[Reference],
+        knowns: &[Reference],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Result<(), UnitError> {
+        let sizes = self.sizes();
+        let (mut matrix, mut fracture) = (vec![0.0; sizes.cells], vec![0.0; sizes.fracture_faces]);
+        let mut rest = seed;
+        for &known in knowns {
+            let (own, after) = rest.split_at(self.table.size(known));
+            rest = after;
+            match self.table.name(known) {
+                "matrix.pressure" => matrix.copy_from_slice(own),
+                "fracture.pressure" => fracture.copy_from_slice(own),
+                name => return Err(format!("no derivative with respect to {name}: only to the pressures").into()),
+            }
+        }
+        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
+        let response = self.mechanics.response(&self.now.state, &matrix, &fracture)?;
+        let mut rest = sensitivity;
+        for &unknown in unknowns {
+            let (own, after) = rest.split_at_mut(self.table.size(unknown));
+            rest = after;
+            own.copy_from_slice(match self.table.name(unknown) {
+                "matrix.porosity_change" => &response.porosity_change,
+                "fracture.aperture" => &response.aperture,
+                "fracture.displacement_jump" => &response.jump,
+                name => return Err(format!("no derivative of {name}").into()),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Reads model and mesh from the resources.
+///
+/// # Errors
+/// A file is missing or corrupt, or the two do not fit.
+pub fn read(folder: &Path) -> Result<(Document, Mesh), UnitError> {
+    let document = Document::load(folder, &[], &[])?;
+    let mesh = Mesh::new(mesh_io::read_hdf5(folder.join("mesh.h5"))?)?;
+    document.check_mesh(&mesh)?;
+    Ok((document, mesh))
+}
+
+/// The mechanical problem that a model describes.
+///
+/// # Errors
+/// A model without mechanics, or expressions that are not sound.
+pub fn problem(document: &Document, mesh: &Mesh) -> Result<Model, UnitError> {
+    let description = &document.model;
+    let mechanics = description.mechanics.as_ref().ok_or("the model has no [mechanics]")?;
+    let mut problem = Model::default();
+    for (name, region) in &description.regions {
+        let needed = |value: Option<model::Number>, key: &str| {
+            value
+                .map(|v| v.0)
+                .ok_or_else(|| UnitError::from(format!("regions.{name} has no {key}, which mechanics needs")))
+        };
+        let material = Material {
+            young_modulus: needed(region.young_modulus, "young_modulus")?,
+            poisson_ratio: needed(region.poisson_ratio, "poisson_ratio")?,
+            biot_coefficient: region.biot_coefficient.0,
+        };
+        problem.materials.insert(name.clone(), material);
+    }
+    let tips = Arc::new(TipDistances::new(mesh));
+    for (number, name) in mesh.data().fractures.iter().enumerate() {
+        let Some(fracture) = description.fractures.get(name) else { continue };
+        let aperture = description.function(&fracture.contact_aperture, Scope::Fracture)?;
+        let tips = Arc::clone(&tips);
+        let law = FractureLaw {
+            friction: match fracture.friction {
+                model::Friction::None => Friction::None,
+                model::Friction::Tresca { bound } => Friction::Tresca { bound: bound.0 },
+                model::Friction::Coulomb { coefficient, cohesion } => {
+                    Friction::Coulomb { coefficient: coefficient.0, cohesion: cohesion.0 }
+                }
+            },
+            dilation_angle: fracture.dilation_angle.0,
+            normal_stiffness: fracture.normal_stiffness.map(|k| k.0),
+            contact_aperture: Arc::new(move |x, _| aperture.at(&tips.point(number, x))),
+        };
+        problem.fractures.insert(name.clone(), law);
+    }
+    for displacement in &mechanics.displacement {
+        let places: Vec<Place> = match &displacement.at {
+            Some(point) => vec![Place::Point(point.vector())],
+            None => displacement.on.iter().cloned().map(Place::Tag).collect(),
+        };
+        for (component, _, value) in displacement.components() {
+            let function = description.function(value, Scope::Boundary)?;
+            for place in &places {
+                let function = function.clone();
+                problem.dirichlet.push(Dirichlet {
+                    place: place.clone(),
+                    component,
+                    value: Arc::new(move |p: &BoundaryPoint, time| {
+                        function.at(&Point { cell: p.cell, ..Point::new(p.at, time) })
+                    }),
+                });
+            }
+        }
+    }
+    for traction in &mechanics.traction {
+        let mut components =
+            [model::Function::constant(0.0), model::Function::constant(0.0), model::Function::constant(0.0)];
+        for (component, _, value) in traction.components() {
+            components[component] = description.function(value, Scope::PlaceAndTime)?;
+        }
+        for tag in &traction.on {
+            let components = components.clone();
+            let function = move |x, time| vector(&components, x, time);
+            problem.neumann.push(Neumann { tag: tag.clone(), traction: Arc::new(function) });
+        }
+    }
+    if let Some(force) = &mechanics.body_force {
+        let components = force
+            .iter()
+            .map(|value| description.function(value, Scope::PlaceAndTime))
+            .collect::<Result<Vec<_>, _>>()?;
+        problem.body_force = Some(Arc::new(move |x, time| vector(&components, x, time)));
+    }
+    problem.bubbles = match mechanics.bubbles {
+        model::Bubbles::OneSided => Bubbles::OneSided,
+        model::Bubbles::TwoSided => Bubbles::TwoSided,
+    };
+    let defaults = NewtonSettings::default();
+    problem.newton = NewtonSettings {
+        beta_factor: mechanics.newton.beta_factor.map_or(defaults.beta_factor, |v| v.0),
+        max_iterations: mechanics.newton.max_iterations.unwrap_or(defaults.max_iterations),
+        tolerance: mechanics.newton.tolerance.map_or(defaults.tolerance, |v| v.0),
+    };
+    Ok(problem)
+}
+
+fn vector(components: &[model::Function], x: Vec3, time: f64) -> Vec3 {
+    let mut value = Vec3::ZERO;
+    for (c, function) in components.iter().enumerate() {
+        value[c] = function.at(&Point::new(x, time));
+    }
+    value
+}
