@@ -579,3 +579,123 @@ test_a_broken_model_is_refused = spoil(broken_model)
 test_an_unknown_key_is_refused = spoil(unknown_key)
 test_another_model_is_refused = spoil(other_model)
 test_a_modulus_out_of_range_is_refused = spoil(negative_modulus)
+
+
+# Wells, boundaries, gravity and sources, in 3D.
+
+
+@pytest.fixture
+def wells():
+    host = Unit("flow", CASE.parent / "wells")
+    yield host
+    shutil.rmtree(host.folder)
+
+
+def test_wells_are_known_by_their_names(wells):
+    assert validate_fmu(str(CASE.parent / "wells" / "flow.fmu")) == []
+    names = {v.name: v.causality for v in wells.variables.values() if v.name.startswith("wells.")}
+    assert names == {
+        "wells.inj_1.rate": "input",
+        "wells.inj_1.pressure": "output",
+        "wells.choked.rate": "input",
+        "wells.choked.pressure": "output",
+        "wells.choked.actual_rate": "output",
+        "wells.choked.limited": "output",
+        "wells.producer.pressure": "input",
+        "wells.producer.rate": "output",
+    }
+    terminals = xml(str(CASE.parent / "wells" / "flow.fmu"), "terminalsAndIcons/terminalsAndIcons.xml")
+    members = {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")}
+    assert set(names) < members
+
+
+def test_wells_sources_and_boundaries_add_up(wells):
+    unit = wells.start()
+    def number(name):
+        return wells.get(unit, name)[0]
+
+    def in_place():
+        return number("fluid_in_place.matrix") + number("fluid_in_place.fractures")
+
+    assert number("wells.inj_1.rate") == 1e-4 and number("wells.producer.pressure") == 1.9e7
+    assert number("wells.inj_1.pressure") == pytest.approx(2e7 - 1e4 * 7.5)
+    unit.doStep(0.0, 10.0)
+    # q/(W/η) ≈ 53 kPa above the cell, by Peaceman.
+    assert 53e3 < number("wells.inj_1.pressure") - (2e7 - 1e4 * 7.5) < 90e3
+    assert number("wells.producer.rate") < 0
+    limited = unit.getBoolean([wells.variables["wells.choked.limited"].valueReference])
+    assert limited == [True] and number("wells.choked.pressure") == 2.5e7
+    assert 0 < number("wells.choked.actual_rate") < 1e-2
+    # 40 m × 20 m at 1e-8 (1 + t) m/s at the end of the time step.
+    assert number("boundary.right.inflow") == pytest.approx(800 * 1.1e-7)
+    assert number("boundary.right.fracture_inflow") == 0.0
+    assert abs(number("mass_balance.error")) < 1e-12
+    energies = {n[7:]: number(n) for n in wells.variables if n.startswith("energy.")}
+    gained = sum(energies.pop(n) for n in ("source", "boundary", "wells", "gravity"))
+    assert sum(energies.values()) == pytest.approx(gained, rel=1e-9)
+    # What is stored comes from outside. (Compressible: fluid in place is at the reference density.)
+    before = in_place()
+    for name in ("wells.inj_1.rate", "wells.choked.rate"):
+        wells.set(unit, name, [0.0])
+    unit.doStep(10.0, 10.0)
+    assert in_place() != before
+    assert number("wells.choked.actual_rate") == 0.0
+    unit.freeInstance()
+
+
+def test_pressures_and_apertures_at_the_start_are_those_of_the_model(wells):
+    unit = wells.start()
+    at_rest = wells.get(unit, "matrix.pressure")
+    assert max(at_rest) - min(at_rest) == pytest.approx(15e4)
+    # The fault is two faces high: the centres of all are half the largest distance from its edges.
+    assert wells.get(unit, "fracture.aperture") == pytest.approx([1.5e-4] * wells.size("fracture.aperture"))
+    unit.freeInstance()
+
+
+def test_stiffnesses_are_capped(wells):
+    unit = wells.start()
+    natural = wells.get(unit, "fracture.pressure_stiffness")
+    # 1/(c d) = 2e9 Pa/1e-4 m and more, above the cap of the model.
+    assert set(natural) == {1e10}
+    wells.set(unit, "fracture_pressure_stiffness.cap", [1e30])
+    expected = 2e9 / np.array(wells.get(unit, "fracture.aperture"))
+    assert wells.get(unit, "fracture.pressure_stiffness") == pytest.approx(expected)
+    # 1/(1/M + φ c)
+    assert wells.get(unit, "matrix.pressure_stiffness")[0] == pytest.approx(1 / (1e-10 + 0.2 / 2e9))
+    wells.set(unit, "matrix_pressure_stiffness.cap", [1e8])
+    assert set(wells.get(unit, "matrix.pressure_stiffness")) == {1e8}
+    unit.freeInstance()
+
+
+def test_apertures_set_before_the_start_are_those_of_the_start():
+    host = Unit("flow")
+    unit = host.instantiate()
+    unit.enterInitializationMode()
+    before = host.get(unit, "fluid_in_place.fractures")[0]
+    start = np.array(host.get(unit, "fracture.aperture"))
+    host.set(unit, "fracture.aperture", 2 * start)
+    unit.exitInitializationMode()
+    assert host.get(unit, "fluid_in_place.fractures")[0] == pytest.approx(2 * before)
+    unit.doStep(0.0, 100.0)
+    # Nothing has changed, so nothing flows.
+    assert np.array(host.get(unit, "fracture.pressure")) == pytest.approx(1e5, rel=1e-9)
+    unit.freeInstance()
+    shutil.rmtree(host.folder)
+
+
+def test_both_units_in_threads_at_once():
+    """They share the HDF5 library."""
+    hosts = [Unit(name) for name in UNITS]
+
+    def run(host, count):
+        for _ in range(20):
+            unit = host.instantiate([])
+            unit.fmi3FreeInstance(unit.component)
+            count.append(1)
+
+    done = []
+    threads = [threading.Thread(target=run, args=(host, done)) for host in hosts for _ in range(2)]
+    [thread.start() for thread in threads]
+    [thread.join() for thread in threads]
+    assert len(done) == 80
+    [shutil.rmtree(host.folder) for host in hosts]
