@@ -40,6 +40,12 @@ pub enum ModelProblem {
         /// Dimension.
         dim: usize,
     },
+    /// A point is none.
+    #[error("Dirichlet data hold at {place}, which is not finite")]
+    Point {
+        /// Where.
+        place: String,
+    },
     /// The Dirichlet data leave a piece of the body free to move.
     #[error(
         "the piece of the body around ({x:.4e}, {y:.4e}, {z:.4e}) m, of {cells} cells, can move as a rigid body: its Dirichlet data \

@@ -102,7 +102,7 @@ impl History {
 /// Terms of the energy balance of a step (J, per metre of thickness in 2D).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Energy {
-    /// Elastic energy ½ a(u,u), stabilisation included, at the end of the step.
+    /// Elastic energy at the end of the step: ½ a(u,u), stabilisation included, and ½ λ_n²/k_n of the fractures.
     pub elastic: f64,
     /// Work of tractions, body forces and prescribed displacements during the step, forces at their end values.
     pub external_work: f64,
@@ -274,6 +274,9 @@ impl Mechanics {
     /// Arrays of the wrong length, values that are not finite, boundary functions that give such, a singular contact
     /// problem.
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
+        if !time.is_finite() {
+            return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
+        }
         self.check_partner(partner)?;
         let stiffness = partner.response.as_ref().map_or(&[][..], |r| &r.matrix_pressure_stiffness);
         self.follow(stiffness)?;
@@ -788,14 +791,16 @@ impl Mechanics {
             external[f.unknown] += force;
         }
         let first = self.system.space.first_jump() * d;
-        let mut friction = 0.0;
+        let (mut friction, mut springs) = (0.0, 0.0);
         for (i, face) in self.faces.iter().enumerate() {
             for c in 0..d {
                 let at = i * d + c;
-                let work = face.measure * state.multiplier[at];
-                forces[first + at] -= work;
-                if c > 0 {
-                    friction += work * (state.unknowns[first + at] - previous.unknowns[first + at]);
+                let force = face.measure * state.multiplier[at];
+                forces[first + at] -= force;
+                if c == 0 {
+                    springs += 0.5 * force * state.multiplier[at] * face.compliance;
+                } else {
+                    friction += force * (state.unknowns[first + at] - previous.unknowns[first + at]);
                 }
             }
         }
@@ -803,7 +808,7 @@ impl Mechanics {
             (f.iter().zip(&state.unknowns).zip(&previous.unknowns)).map(|((f, u), v)| f * (u - v)).sum()
         };
         Ok(Energy {
-            elastic: 0.5 * forces.iter().zip(&state.unknowns).map(|(f, u)| f * u).sum::<f64>(),
+            elastic: 0.5 * forces.iter().zip(&state.unknowns).map(|(f, u)| f * u).sum::<f64>() + springs,
             external_work: change(&external),
             pressure_work: change(&pressure),
             friction,

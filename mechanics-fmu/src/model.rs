@@ -284,6 +284,13 @@ impl Model {
         for d in self.neumann.iter().filter(|d| mesh.tagged_faces(&d.tag).next().is_none()) {
             name("boundary", &d.tag, "has a traction, but no face", &data.tags);
         }
+        for d in &self.dirichlet {
+            if let Place::Point(p) = &d.place
+                && !p.is_finite()
+            {
+                problems.push(ModelProblem::Point { place: d.place.to_string() });
+            }
+        }
         for d in self.dirichlet.iter().filter(|d| d.component >= mesh.dim()) {
             let (component, dim) = (d.component, mesh.dim());
             problems.push(ModelProblem::Component { place: d.place.to_string(), component, dim });

@@ -150,7 +150,7 @@ pub struct NewtonReport {
     pub iterations: usize,
     /// GMRES iterations, all together.
     pub linear_iterations: usize,
-    /// Dense factorisations on the fracture.
+    /// Dense factorisations on the fracture, counting one that is left to the next step.
     pub face_factorisations: usize,
     /// Times that the contact states cycled and Gauss–Seidel sweeps were made.
     pub cycles: usize,
@@ -273,14 +273,14 @@ impl FractureProblem<'_> {
                 at = self.sweep(data, at);
             }
         }
-        self.leave_factor(data, &at, &mut workshop);
+        self.leave_factor(data, &at, &mut workshop, &mut report);
         let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
         let Iterate { lambda, states, violation, .. } = at;
         Ok(FractureSolution { jump, lambda, states, factor: workshop.factor, report, converged, violation, change })
     }
 
     /// Leaves the next step a factor for the states it will start from, where the present one has a wide border.
-    fn leave_factor(&self, data: &FractureData<'_>, at: &Iterate, workshop: &mut Workshop) {
+    fn leave_factor(&self, data: &FractureData<'_>, at: &Iterate, workshop: &mut Workshop, report: &mut NewtonReport) {
         let laws = self.linearise(data, at);
         let stale = workshop.factor.as_ref().is_none_or(|factor| {
             let is_given = |laws: &[Linearised], k: usize| laws[k / self.dim].given[k % self.dim].is_some();
@@ -289,6 +289,7 @@ impl FractureProblem<'_> {
             border * STALE > factor.unknowns.len()
         });
         if stale {
+            report.face_factorisations += 1;
             workshop.factor = Some(Arc::new(self.face_factor(laws)));
         }
     }
@@ -336,13 +337,14 @@ impl FractureProblem<'_> {
         let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
         let mut fresh = false;
         loop {
-            let preconditioner = match self.preconditioner(workshop, laws, report) {
+            let preconditioner = match self.preconditioner(workshop, laws) {
                 Some(preconditioner) => preconditioner,
                 None => {
+                    report.face_factorisations += 1;
                     fresh = true;
                     let factor = Some(Arc::new(self.face_factor(laws.to_vec())));
                     *workshop = Workshop { factor, ..Workshop::default() };
-                    self.preconditioner(workshop, laws, report)?
+                    self.preconditioner(workshop, laws)?
                 }
             };
             let mut x = vec![0.0; b.len()];
@@ -458,12 +460,7 @@ impl FractureProblem<'_> {
     }
 
     /// The use of the present factor for given laws; `None` where there is none or renewing it is cheaper.
-    fn preconditioner(
-        &self,
-        workshop: &mut Workshop,
-        laws: &[Linearised],
-        report: &mut NewtonReport,
-    ) -> Option<Preconditioner> {
+    fn preconditioner(&self, workshop: &mut Workshop, laws: &[Linearised]) -> Option<Preconditioner> {
         let d = self.dim;
         let factor = Arc::clone(workshop.factor.as_ref()?);
         let old = &factor.unknowns;
@@ -482,10 +479,7 @@ impl FractureProblem<'_> {
         for q in new.len()..missing.len() {
             solved[(removed[missing[q] - added.len()], q)] = 1.0;
         }
-        let lu = factor.lu.get_or_init(|| {
-            report.face_factorisations += 1;
-            self.rows(&factor.laws, old, old).partial_piv_lu()
-        });
+        let lu = factor.lu.get_or_init(|| self.rows(&factor.laws, old, old).partial_piv_lu());
         solve_lu(lu, solved.as_mut());
         for (q, &k) in missing.iter().enumerate() {
             workshop.columns.insert(components[k], solved.col(q).iter().copied().collect());

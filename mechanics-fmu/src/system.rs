@@ -78,6 +78,9 @@ pub(crate) struct System {
     pub(crate) factorisations: usize,
     pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
+    /// Where only fractures hold a piece of the body, the stiffness (N/m) of springs across each jump, which the factor has
+    /// and the Schur complement has not: without them there would be no factor.
+    springs: Vec<f64>,
 }
 
 impl System {
@@ -85,7 +88,7 @@ impl System {
     pub(crate) fn new(mesh: &Mesh, model: &Model) -> Result<Self, MechanicsError> {
         let space = Space::new(mesh, model.bubbles);
         let fixed = fixed_unknowns(mesh, model, &space);
-        let problems = floating_pieces(mesh, &space, &fixed);
+        let problems = floating_pieces(mesh, &space, &fixed, true);
         if !problems.is_empty() {
             return Err(MechanicsError::Model(problems));
         }
@@ -133,10 +136,16 @@ impl System {
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let (fixed_rows, divergence) =
             assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
+        let springs = if floating_pieces(mesh, &space, &fixed, false).is_empty() {
+            Vec::new()
+        } else {
+            spring_stiffness(mesh, &materials)
+        };
+        add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap();
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
         let factorisation = lap();
-        let schur = cholesky.schur_single()?;
+        let schur = schur_without_springs(&cholesky, &springs)?;
         let condensation = lap();
         let memory = cholesky.memory();
         let setup = SetupReport {
@@ -161,6 +170,7 @@ impl System {
             schur,
             factorisations: 1,
             free_of_unknown,
+            springs,
         })
     }
 
@@ -168,6 +178,9 @@ impl System {
     pub(crate) fn add_schur_product(&self, x: &[f64], y: &mut [f64]) {
         let done = self.cholesky.add_schur_product(x, y);
         debug_assert!(done.is_ok(), "there is a factor, and all jumps are unknowns of it: {done:?}");
+        for ((y, x), k) in y.iter_mut().zip(x).zip(&self.springs) {
+            *y -= k * x;
+        }
     }
 
     /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
@@ -184,11 +197,43 @@ impl System {
             &mut self.stiffness,
         )?;
         self.fixed_rows = fixed_rows;
+        add_springs(&self.space, &self.springs, &mut self.stiffness)?;
         self.cholesky.refactorise(&self.stiffness)?;
-        self.schur = self.cholesky.schur_single()?;
+        self.schur = schur_without_springs(&self.cholesky, &self.springs)?;
         self.factorisations += 1;
         Ok(())
     }
+}
+
+/// Springs about as stiff as the cells beside the fracture.
+fn spring_stiffness(mesh: &Mesh, materials: &[CellMaterial]) -> Vec<f64> {
+    let geometry = mesh.geometry();
+    (mesh.network().faces.iter())
+        .flat_map(|&face| {
+            let cell = mesh.face_cells(face).0;
+            let CellMaterial { lambda, mu, .. } = materials[cell];
+            let k = (lambda + 2.0 * mu) / geometry.cell_diameter[cell] * geometry.face_measure[face];
+            std::iter::repeat_n(k, mesh.dim())
+        })
+        .collect()
+}
+
+fn add_springs(space: &Space, springs: &[f64], stiffness: &mut SparseSymmetric) -> Result<(), MechanicsError> {
+    let d = space.dim();
+    for (i, own) in springs.chunks_exact(d).enumerate() {
+        let mut local = vec![0.0; d * d];
+        own.iter().enumerate().for_each(|(c, k)| local[c * d + c] = *k);
+        stiffness.add(&[(space.first_jump() + i) as u32], &local)?;
+    }
+    Ok(())
+}
+
+fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<faer::Mat<f32>, MechanicsError> {
+    let mut schur = cholesky.schur_single()?;
+    for (i, k) in springs.iter().enumerate() {
+        schur[(i, i)] -= *k as f32;
+    }
+    Ok(schur)
 }
 
 /// What a run of cells adds to the system, one behind the other.
@@ -311,8 +356,8 @@ pub(crate) fn boundary_nodes(mesh: &Mesh, face: usize) -> impl Iterator<Item = u
     mesh.face_vertices(face).iter().filter_map(move |v| mesh.cell_vertices(cell).binary_search(v).ok().map(|k| own[k]))
 }
 
-/// The pieces of the body that fixed unknowns leave free to move. Pieces on both sides of a fracture are one.
-fn floating_pieces(mesh: &Mesh, space: &Space, fixed: &[Fixed]) -> Vec<ModelProblem> {
+/// The pieces of the body that fixed unknowns leave free to move; those on both sides of a fracture are one, or are not.
+fn floating_pieces(mesh: &Mesh, space: &Space, fixed: &[Fixed], across_fractures: bool) -> Vec<ModelProblem> {
     let dim = space.dim();
     let mut piece = vec![None; mesh.cell_count()];
     let mut first_cells = Vec::new();
@@ -329,6 +374,9 @@ fn floating_pieces(mesh: &Mesh, space: &Space, fixed: &[Fixed]) -> Vec<ModelProb
         while let Some(cell) = queue.pop() {
             size += 1;
             for &face in mesh.cell_faces(cell) {
+                if !across_fractures && mesh.network().number_of_face[face].is_some() {
+                    continue;
+                }
                 let (a, b) = mesh.face_cells(face);
                 for next in [Some(a), b].into_iter().flatten() {
                     if piece[next].is_none() {

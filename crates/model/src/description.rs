@@ -571,7 +571,7 @@ pub enum Extrapolation {
 }
 
 /// A field has converged when norm(residual) ≤ tolerance × max(range, floor), where the range is the difference of the
-/// largest and smallest values that the field has had.
+/// largest and smallest values that the field has had at the times up to now.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Criterion {
@@ -599,11 +599,11 @@ pub enum Norm {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sensitivity {
+    /// When the units are asked for them.
+    pub refresh: Refresh,
     /// Factor on the matrix compliance b²/K_dr; the linear problem contracts from ½ on.
     pub matrix_compliance_factor: Number,
-    /// Whether the fracture compliance is probed by a linearised solve; otherwise it is its floor.
-    pub probe: bool,
-    /// Factor on the floor L_f/E′ of the fracture compliance (m/Pa), L_f the length of the fracture.
+    /// The fracture compliance is probed by a linearised solve; this is the factor on its floor L_f/E′ of the fracture compliance (m/Pa), L_f the length of the fracture.
     pub fracture_compliance_floor_factor: Number,
     /// Largest matrix stiffness (Pa) that flow publishes.
     pub matrix_stiffness_cap: Number,
@@ -614,13 +614,24 @@ pub struct Sensitivity {
 impl Default for Sensitivity {
     fn default() -> Self {
         Self {
+            refresh: Refresh::default(),
             matrix_compliance_factor: Number(1.0),
-            probe: true,
             fracture_compliance_floor_factor: Number(1.0),
             matrix_stiffness_cap: Number(1e13),
             fracture_stiffness_cap: Number(1e10),
         }
     }
+}
+
+/// When the units are asked for their sensitivities.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Refresh {
+    /// At the start of each time step: the partner's matrix stays the same, and is factorised once.
+    #[default]
+    TimeStep,
+    /// After each coupling iteration.
+    Iteration,
 }
 
 /// What a run leaves.

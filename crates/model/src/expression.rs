@@ -159,12 +159,15 @@ pub struct ExpressionError {
     pub column: usize,
 }
 
+type Unary = fn(f64) -> f64;
+type Binary = fn(f64, f64) -> f64;
+
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
     Number(f64),
     Variable(Variable),
-    One(fn(f64) -> f64, Box<Node>),
-    Two(fn(f64, f64) -> f64, Box<[Node; 2]>),
+    One(Unary, Box<Node>),
+    Two(Binary, Box<[Node; 2]>),
     If(Box<[Node; 3]>),
 }
 
@@ -262,11 +265,7 @@ impl<'a> Parser<'a> {
         found
     }
 
-    fn chain(
-        &mut self,
-        part: fn(&mut Self) -> Parsed,
-        next: impl Fn(&mut Self) -> Option<fn(f64, f64) -> f64>,
-    ) -> Parsed {
+    fn chain(&mut self, part: fn(&mut Self) -> Parsed, next: impl Fn(&mut Self) -> Option<Binary>) -> Parsed {
         let mut node = part(self)?;
         while let Some(f) = next(self) {
             node = Node::Two(f, Box::new([node, part(self)?])).folded();
@@ -298,7 +297,7 @@ impl<'a> Parser<'a> {
 
     fn compare(&mut self) -> Parsed {
         // The longer symbols first.
-        const COMPARISONS: [(&str, fn(f64, f64) -> f64); 6] = [
+        const COMPARISONS: [(&str, Binary); 6] = [
             ("<=", |a, b| truth(a <= b)),
             (">=", |a, b| truth(a >= b)),
             ("==", |a, b| truth(a == b)),
@@ -326,7 +325,7 @@ impl<'a> Parser<'a> {
         self.chain(Self::sign, |p| if p.take("*") { Some(|a, b| a * b) } else { p.take("/").then_some(|a, b| a / b) })
     }
 
-    fn changed(&mut self, part: fn(&mut Self) -> Parsed, f: fn(f64) -> f64) -> Parsed {
+    fn changed(&mut self, part: fn(&mut Self) -> Parsed, f: Unary) -> Parsed {
         Ok(Node::One(f, Box::new(self.deeper(part)?)).folded())
     }
 
@@ -386,7 +385,7 @@ impl<'a> Parser<'a> {
     }
 
     fn number(&mut self) -> Parsed {
-        let rest = self.source[self.at..].as_bytes();
+        let rest = &self.source.as_bytes()[self.at..];
         let digits = |from: usize| rest[from..].iter().take_while(|c| c.is_ascii_digit()).count();
         let mut end = digits(0);
         if rest.get(end) == Some(&b'.') {
@@ -425,7 +424,7 @@ impl<'a> Parser<'a> {
     }
 
     fn call(&mut self, function: &str) -> Result<Node, Named> {
-        let one: Option<fn(f64) -> f64> = match function {
+        let one: Option<Unary> = match function {
             "sin" => Some(f64::sin),
             "cos" => Some(f64::cos),
             "tan" => Some(f64::tan),
@@ -445,7 +444,7 @@ impl<'a> Parser<'a> {
             "sign" => Some(|a| if a == 0.0 { 0.0 } else { a.signum() }),
             _ => None,
         };
-        let two: Option<fn(f64, f64) -> f64> = match function {
+        let two: Option<Binary> = match function {
             "atan2" => Some(f64::atan2),
             "min" => Some(f64::min),
             "max" => Some(f64::max),

@@ -5,7 +5,6 @@
 //! The published curves of the benchmarks are not part of the project. Where `--reference DIR` names a directory that
 //! holds them, under the names that their authors gave them, they are compared with; otherwise the finest mesh is.
 
-use std::error::Error;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,9 +16,7 @@ use flow_fmu::{
 };
 use mesh::generate::{Triangles, agglomerate, cartesian, dual, perturb, simplices};
 use mesh::{Mesh, MeshData, Vec3};
-use plotters::prelude::*;
-
-type Outcome<T> = Result<T, Box<dyn Error>>;
+use tests::plot::{Curve, Outcome, order, plot, table};
 
 #[derive(Parser)]
 #[command(about = "Studies of the flow; tables go to the terminal, CSV and SVG to results/flow")]
@@ -69,79 +66,6 @@ fn main() -> Outcome<()> {
     }
 }
 
-// ---- tables, curves and plots ----
-
-type Curve = Vec<(f64, f64)>;
-
-/// Prints a table and writes it as CSV.
-fn table(output: &Path, name: &str, head: &[&str], rows: &[Vec<String>]) -> Outcome<()> {
-    let mut csv = head.join(",") + "\n";
-    let width = |k: usize| rows.iter().map(|r| r[k].len()).chain([head[k].len()]).max().unwrap_or(0);
-    let line = |cells: &[&str]| -> String {
-        cells.iter().enumerate().map(|(k, c)| format!("{c:>w$}  ", w = width(k))).collect()
-    };
-    println!("{}", line(head));
-    for row in rows {
-        println!("{}", line(&row.iter().map(String::as_str).collect::<Vec<_>>()));
-        writeln!(csv, "{}", row.join(","))?;
-    }
-    println!();
-    std::fs::write(output.join(name).with_extension("csv"), csv)?;
-    Ok(())
-}
-
-/// Log-log plots of errors, or linear plots of curves.
-fn plot(output: &Path, name: &str, title: &str, axes: [&str; 2], curves: &[(String, Curve)], log: bool) -> Outcome<()> {
-    let of = |k: usize| {
-        let all = curves.iter().flat_map(|c| &c.1).map(move |p| if k == 0 { p.0 } else { p.1 });
-        let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        if log { (low / 1.3, high * 1.3) } else { (low - 0.03 * (high - low), high + 0.03 * (high - low)) }
-    };
-    let ((x0, x1), (y0, y1)) = (of(0), of(1));
-    let file = output.join(name).with_extension("svg");
-    let area = SVGBackend::new(&file, (900, 600)).into_drawing_area();
-    area.fill(&WHITE)?;
-    let mut builder = ChartBuilder::on(&area);
-    builder.caption(title, ("sans-serif", 22)).margin(12).x_label_area_size(45).y_label_area_size(75);
-    macro_rules! draw {
-        ($chart:expr) => {{
-            let mut chart = $chart;
-            chart
-                .configure_mesh()
-                .x_desc(axes[0])
-                .y_desc(axes[1])
-                .x_label_formatter(&|v| format!("{v:.3}"))
-                .y_label_formatter(&|v| if log { format!("{v:.1e}") } else { format!("{v:.4}") })
-                .draw()?;
-            for (k, (label, curve)) in curves.iter().enumerate() {
-                let color = Palette99::pick(k).to_rgba();
-                let style = color.stroke_width(2);
-                chart
-                    .draw_series(LineSeries::new(curve.iter().copied(), style))?
-                    .label(label)
-                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
-                if curve.len() < 15 {
-                    chart.draw_series(curve.iter().map(|&p| Circle::new(p, 4, color.filled())))?;
-                }
-            }
-            let place = if log { SeriesLabelPosition::LowerRight } else { SeriesLabelPosition::LowerLeft };
-            chart
-                .configure_series_labels()
-                .position(place)
-                .background_style(WHITE.mix(0.8))
-                .border_style(BLACK)
-                .draw()?;
-        }};
-    }
-    if log {
-        draw!(builder.build_cartesian_2d((x0..x1).log_scale(), (y0..y1).log_scale())?);
-    } else {
-        draw!(builder.build_cartesian_2d(x0..x1, y0..y1)?);
-    }
-    area.present()?;
-    Ok(())
-}
-
 /// The value of a curve at `x`, between its points.
 fn at(curve: &Curve, x: f64) -> f64 {
     let k = curve.partition_point(|p| p.0 < x).clamp(1, curve.len() - 1);
@@ -170,10 +94,6 @@ fn read_curve(file: &Path, x: usize, y: usize) -> Outcome<Curve> {
     }
     curve.sort_by(|a, b| a.0.total_cmp(&b.0));
     if curve.is_empty() { Err(format!("{}: no numbers", file.display()).into()) } else { Ok(curve) }
-}
-
-fn order(previous: Option<(f64, f64)>, h: f64, error: f64) -> String {
-    previous.map_or_else(String::new, |(h0, e0)| format!("{:.2}", (e0 / error).ln() / (h0 / h).ln()))
 }
 
 /// The affine pressure of each cell, along a straight line; only for convex cells.
@@ -613,7 +533,14 @@ fn consolidation(output: &Path) -> Outcome<()> {
         curve.push((dt, e));
     }
     table(output, "consolidation", &["time steps", "error at t = 0.2", "order", "volume error"], &rows)?;
-    plot(output, "consolidation-order", "Order in time", ["time step", "L2 error"], &[("error".into(), curve)], true)?;
+    plot(
+        output,
+        "consolidation-order",
+        "Order in time",
+        ["time step", "L2 error"],
+        &[(String::from("error"), curve)],
+        true,
+    )?;
     plot(output, "consolidation", "A draining column", ["x", "p"], &profiles, false)
 }
 

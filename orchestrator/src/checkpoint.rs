@@ -1,0 +1,84 @@
+//! What a run needs to go on, as bytes.
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 8 | [`MAGIC`], the last of which is the version |
+//! | 32 | SHA-256 of what follows |
+//! | rest | settings, state of the loop, states of both units (postcard: floats keep all their bits) |
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::error::CouplingError;
+use crate::interface::Interface;
+use crate::run::{Settings, State};
+
+const MAGIC: [u8; 8] = *b"couple\0\x01";
+
+/// Everything that a run needs to go on: with it, a run that was stopped gives the same bits as one that was not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// Interface and settings that the run had.
+    of: String,
+    pub(crate) state: State,
+    pub(crate) units: Vec<Vec<u8>>,
+}
+
+impl Checkpoint {
+    pub(crate) fn new(interface: &Interface, settings: &Settings, state: State, units: Vec<Vec<u8>>) -> Self {
+        Self { of: describe(interface, settings), state, units }
+    }
+
+    pub(crate) fn check(&self, interface: &Interface, settings: &Settings) -> Result<(), CouplingError> {
+        if self.of != describe(interface, settings) {
+            return Err(CouplingError::Checkpoint { reason: "it belongs to a run with other settings" });
+        }
+        let fields = interface.fields.len();
+        let state = &self.state;
+        let fits = state.ranges.len() == fields
+            && state.sensitivities.len() == fields
+            && state.history.iter().all(|(_, f)| f.len() == fields)
+            && !state.history.is_empty()
+            && self.units.len() == 2;
+        if fits { Ok(()) } else { Err(CouplingError::Checkpoint { reason: "its content is inconsistent" }) }
+    }
+
+    /// Time (s) at which it was made.
+    pub fn time(&self) -> f64 {
+        self.state.time
+    }
+
+    /// Number of time steps done.
+    pub fn number(&self) -> usize {
+        self.state.number
+    }
+
+    /// As bytes.
+    ///
+    /// # Errors
+    /// [`CouplingError::Checkpoint`] where it cannot be written, as for want of memory.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CouplingError> {
+        let content = postcard::to_stdvec(self)
+            .map_err(|_| CouplingError::Checkpoint { reason: "its content cannot be written" })?;
+        Ok([&MAGIC[..], &Sha256::digest(&content)[..], &content].concat())
+    }
+
+    /// From bytes.
+    ///
+    /// # Errors
+    /// [`CouplingError::Checkpoint`] where they are of another version, cut short or damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CouplingError> {
+        let fail = |reason| CouplingError::Checkpoint { reason };
+        let rest = bytes.strip_prefix(&MAGIC).ok_or(fail("it is none, or of another version"))?;
+        let (digest, content) = rest.split_at_checked(32).ok_or(fail("it is cut short"))?;
+        if Sha256::digest(content)[..] != *digest {
+            return Err(fail("it is damaged"));
+        }
+        postcard::from_bytes(content).map_err(|_| fail("its content is inconsistent"))
+    }
+}
+
+/// What must be the same to go on. Its text has all digits of all numbers.
+fn describe(interface: &Interface, settings: &Settings) -> String {
+    format!("{interface:?} {settings:?}")
+}

@@ -1,0 +1,131 @@
+//! What two units exchange, and the split: an order and a choice of sensitivities.
+
+use crate::error::CouplingError;
+use crate::unit::Unit;
+use model::{Criterion, FIELDS, Norm, Number, Split};
+
+/// A field that one unit gives and the other takes, under one name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    /// Its name in both units.
+    pub name: String,
+    /// Its unit of measure.
+    pub unit: String,
+    /// Which unit gives it: 0 or 1.
+    pub from: usize,
+    /// How it follows the partner's field, as its giver believes.
+    pub sensitivity: Option<Sensitivity>,
+    /// When it has converged.
+    pub criterion: Criterion,
+}
+
+/// The taker sees the field as `value + sign · variable · (p − p*)`, with p its own field `partner` and p* its value
+/// at the giver's last evaluation, which it takes as `{partner}_reference`. The sign is the units' convention.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensitivity {
+    /// Name of the variable that the giver publishes and the taker takes.
+    pub variable: String,
+    /// Which field of the interface goes the other way.
+    pub partner: usize,
+}
+
+/// The fields between two units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Interface {
+    /// The fields.
+    pub fields: Vec<Field>,
+}
+
+/// Number of the flow unit in [`Interface::poroelastic`].
+pub const FLOW: usize = 0;
+/// Number of the mechanics unit in [`Interface::poroelastic`].
+pub const MECHANICS: usize = 1;
+
+impl Interface {
+    /// The interface of flow and mechanics:
+    ///
+    /// | field | from | sensitivity | partner |
+    /// |---|---|---|---|
+    /// | `matrix.pressure` (Pa) | flow | `matrix.pressure_stiffness` (Pa) | porosity change |
+    /// | `fracture.pressure` (Pa) | flow | `fracture.pressure_stiffness` (Pa/m) | aperture |
+    /// | `matrix.porosity_change` (1) | mechanics | `matrix.porosity_compliance` (1/Pa) | matrix pressure |
+    /// | `fracture.aperture` (m) | mechanics | `fracture.aperture_compliance` (m/Pa) | fracture pressure |
+    ///
+    /// The floors of the criteria are some part of what a small case has: 10 kPa, a porosity of 1e-5, 10 µm.
+    pub fn poroelastic() -> Self {
+        let table = [
+            (FLOW, "matrix.pressure_stiffness", 2, 1e4),
+            (FLOW, "fracture.pressure_stiffness", 3, 1e4),
+            (MECHANICS, "matrix.porosity_compliance", 0, 1e-5),
+            (MECHANICS, "fracture.aperture_compliance", 1, 1e-5),
+        ];
+        let fields = (FIELDS.iter().zip(table)).map(|((name, unit), (from, variable, partner, floor))| Field {
+            name: (*name).into(),
+            unit: (*unit).into(),
+            from,
+            sensitivity: Some(Sensitivity { variable: variable.into(), partner }),
+            criterion: Criterion { tolerance: Number(1e-5), floor: Number(floor), norm: Norm::Largest },
+        });
+        Self { fields: fields.collect() }
+    }
+
+    /// Leaves out the fields that neither unit has, as those on fractures where there are none.
+    ///
+    /// # Errors
+    /// [`CouplingError::Field`] where one unit has a field and the other does not.
+    pub fn fitted(self, units: &[Box<dyn Unit>; 2]) -> Result<Self, CouplingError> {
+        let mut kept = Vec::new();
+        for field in &self.fields {
+            let has = [0, 1].map(|i| units[i].has(&field.name));
+            if has[0] != has[1] {
+                let unit = units[usize::from(has[0])].name().to_owned();
+                return Err(CouplingError::Field { unit, field: field.name.clone() });
+            }
+            kept.push(has[0]);
+        }
+        // Fields go with their partners: what is on fractures is there for both or neither.
+        let number = |old: usize| kept[..old].iter().filter(|&&k| k).count();
+        let mut fields: Vec<Field> = self.fields.into_iter().zip(&kept).filter(|f| *f.1).map(|f| f.0).collect();
+        for field in &mut fields {
+            field.sensitivity = field.sensitivity.take().filter(|s| kept[s.partner]);
+            if let Some(sensitivity) = &mut field.sensitivity {
+                sensitivity.partner = number(sensitivity.partner);
+            }
+        }
+        Ok(Self { fields })
+    }
+
+    /// Replaces the criteria of fields by name; names that there are not are left alone.
+    #[must_use]
+    pub fn with_criteria<'a>(mut self, criteria: impl IntoIterator<Item = (&'a String, &'a Criterion)>) -> Self {
+        for (name, criterion) in criteria {
+            self.fields.iter_mut().filter(|f| f.name == *name).for_each(|f| f.criterion = *criterion);
+        }
+        self
+    }
+
+    /// Numbers of the fields that a unit gives.
+    pub(crate) fn given_by(&self, unit: usize) -> impl Iterator<Item = usize> + '_ {
+        (0..self.fields.len()).filter(move |&f| self.fields[f].from == unit)
+    }
+}
+
+/// Which unit goes first, and whose sensitivities are passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scheme {
+    /// The unit that goes first.
+    pub first: usize,
+    /// For each unit, whether the sensitivities that it publishes are passed on.
+    pub connected: [bool; 2],
+}
+
+impl From<Split> for Scheme {
+    fn from(split: Split) -> Self {
+        match split {
+            Split::FixedStrain => Self { first: FLOW, connected: [false, false] },
+            Split::Drained => Self { first: MECHANICS, connected: [false, false] },
+            Split::FixedStress => Self { first: FLOW, connected: [false, true] },
+            Split::Undrained => Self { first: MECHANICS, connected: [true, false] },
+        }
+    }
+}

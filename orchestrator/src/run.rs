@@ -1,0 +1,471 @@
+//! The loop over time steps and coupling iterations.
+
+use std::time::Instant;
+
+use model::{Acceleration, Coupling, Extrapolation, Norm, Refresh, Time};
+
+use crate::acceleration::Accelerator;
+use crate::checkpoint::Checkpoint;
+use crate::error::CouplingError;
+use crate::interface::{Interface, Scheme};
+use crate::record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
+use crate::time::{Pace, TimeControl};
+use crate::unit::{StepOutcome, Unit, UnitError};
+
+/// The values of all fields of an interface.
+pub type Fields = Vec<Vec<f64>>;
+
+/// A residual that has grown by this factor over the least of its time step will not come back.
+const DIVERGED: f64 = 1e8;
+/// Entries that the report of a failure names for each field.
+const REPORTED: usize = 5;
+
+/// How a run is to go.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Order and connected sensitivities.
+    pub scheme: Scheme,
+    /// Acceleration, extrapolation, limits. The split in it is not looked at: `scheme` says it.
+    pub coupling: Coupling,
+    /// Time steps.
+    pub time: Time,
+    /// Times (s) that are met exactly.
+    pub output_times: Vec<f64>,
+}
+
+impl Settings {
+    /// Those of a model.
+    pub fn of(model: &model::Model) -> Self {
+        Self {
+            scheme: model.coupling.split.into(),
+            coupling: model.coupling.clone(),
+            time: model.time.clone(),
+            output_times: model.output.times.iter().map(|t| t.0).collect(),
+        }
+    }
+}
+
+/// Two coupled units on their way through time.
+#[derive(Debug)]
+pub struct Run {
+    units: [Box<dyn Unit>; 2],
+    interface: Interface,
+    settings: Settings,
+    control: TimeControl,
+    pub(crate) state: State,
+}
+
+/// All that the next time step depends on, apart from the units.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(crate) struct State {
+    /// Number of time steps done.
+    pub(crate) number: usize,
+    pub(crate) time: f64,
+    pub(crate) pace: Pace,
+    /// Times and fields, the newest last; at most three.
+    pub(crate) history: Vec<(f64, Fields)>,
+    /// Smallest and largest value that each field has had.
+    pub(crate) ranges: Vec<[f64; 2]>,
+    /// The sensitivities last published, for each field; empty where they are not connected.
+    pub(crate) sensitivities: Fields,
+    pub(crate) accelerator: Accelerator,
+}
+
+/// How a pass through both units ended.
+enum Pass {
+    Done { fields: Fields, record: IterationRecord },
+    Discarded { unit: usize, reason: String },
+}
+
+impl Run {
+    /// Starts from units that stand at the start time.
+    ///
+    /// # Errors
+    /// [`CouplingError::RollBack`] where a unit cannot roll back and coupling is not loose;
+    /// [`CouplingError::Unit`]; [`CouplingError::Length`].
+    pub fn new(units: [Box<dyn Unit>; 2], interface: Interface, settings: Settings) -> Result<Self, CouplingError> {
+        let time = settings.time.start.0;
+        let mut run = Self::with_state(units, interface, settings, None)?;
+        let mut fields = vec![Vec::new(); run.interface.fields.len()];
+        for unit in 0..2 {
+            run.get_outputs(unit, &mut fields)?;
+        }
+        widen(&mut run.state.ranges, &fields);
+        run.state.history.push((time, fields));
+        Ok(run)
+    }
+
+    /// Goes on from a checkpoint, with units that were made as at the start and settings as they were.
+    ///
+    /// # Errors
+    /// Those of [`new`](Self::new), and [`CouplingError::Checkpoint`] where the settings are not those of the
+    /// checkpoint.
+    pub fn resume(
+        units: [Box<dyn Unit>; 2],
+        interface: Interface,
+        settings: Settings,
+        checkpoint: &Checkpoint,
+    ) -> Result<Self, CouplingError> {
+        checkpoint.check(&interface, &settings)?;
+        let mut run = Self::with_state(units, interface, settings, Some(checkpoint.state.clone()))?;
+        for (unit, bytes) in run.units.iter_mut().zip(&checkpoint.units) {
+            unit.deserialise(bytes).map_err(|error| CouplingError::unit(unit.as_ref(), error))?;
+        }
+        Ok(run)
+    }
+
+    fn with_state(
+        units: [Box<dyn Unit>; 2],
+        interface: Interface,
+        settings: Settings,
+        state: Option<State>,
+    ) -> Result<Self, CouplingError> {
+        if !settings.coupling.loose
+            && let Some(unit) = units.iter().find(|unit| !unit.can_roll_back())
+        {
+            return Err(CouplingError::RollBack { unit: unit.name().into() });
+        }
+        let control = TimeControl::new(settings.time.clone(), &settings.output_times);
+        let state = state.unwrap_or_else(|| State {
+            number: 0,
+            time: settings.time.start.0,
+            pace: control.first(),
+            history: Vec::new(),
+            ranges: vec![[f64::INFINITY, f64::NEG_INFINITY]; interface.fields.len()],
+            sensitivities: vec![Vec::new(); interface.fields.len()],
+            accelerator: Accelerator::default(),
+        });
+        Ok(Self { units, interface, settings, control, state })
+    }
+
+    /// Everything needed to go on from here.
+    ///
+    /// # Errors
+    /// [`CouplingError::Unit`] where a unit cannot serialise its state.
+    pub fn checkpoint(&mut self) -> Result<Checkpoint, CouplingError> {
+        let mut bytes = Vec::new();
+        for unit in &mut self.units {
+            bytes.push(unit.serialise().map_err(|error| CouplingError::unit(unit.as_ref(), error))?);
+        }
+        Ok(Checkpoint::new(&self.interface, &self.settings, self.state.clone(), bytes))
+    }
+
+    /// Time (s) up to which the run has got.
+    pub fn time(&self) -> f64 {
+        self.state.time
+    }
+
+    /// Whether the end is reached.
+    pub fn is_finished(&self) -> bool {
+        self.control.is_finished(self.state.time)
+    }
+
+    /// The fields at [`time`](Self::time), in the order of the interface.
+    pub fn fields(&self) -> &[Vec<f64>] {
+        self.state.history.last().map_or(&[], |(_, fields)| fields)
+    }
+
+    /// What the units exchange.
+    pub fn interface(&self) -> &Interface {
+        &self.interface
+    }
+
+    /// The units, to get other variables from.
+    pub fn units(&mut self) -> &mut [Box<dyn Unit>; 2] {
+        &mut self.units
+    }
+
+    /// Does one time step: attempts, with halved steps after failures, until one is accepted.
+    ///
+    /// # Errors
+    /// [`CouplingError::Failed`] with a report where no allowed time step can be done; [`CouplingError::Unit`] where a
+    /// unit fails for good; [`CouplingError::Length`].
+    pub fn advance(&mut self) -> Result<StepRecord, CouplingError> {
+        let can_roll_back = self.units.iter().all(|unit| unit.can_roll_back());
+        if can_roll_back {
+            self.each_unit(|unit| unit.save())?;
+        }
+        if self.refreshes(Refresh::TimeStep) || self.state.number == 0 {
+            (0..2).try_for_each(|unit| self.get_sensitivities(unit))?;
+        }
+        let sensitivities = self.state.sensitivities.clone();
+        let mut attempts = Vec::new();
+        let mut pace = self.state.pace;
+        loop {
+            let end = self.control.next(self.state.time, pace);
+            let step = end - self.state.time;
+            let (attempt, fields, residual) = self.attempt(end)?;
+            let outcome = attempt.outcome.clone();
+            attempts.push(attempt);
+            if outcome == AttemptOutcome::Converged {
+                return Ok(self.accept(end, pace, fields, attempts));
+            }
+            if can_roll_back {
+                self.each_unit(|unit| unit.restore())?;
+            }
+            self.state.sensitivities.clone_from(&sensitivities);
+            match self.control.failed(step).filter(|_| can_roll_back) {
+                Some(shorter) => pace = shorter,
+                None => return Err(self.failure(attempts, &residual, can_roll_back).into()),
+            }
+        }
+    }
+
+    fn accept(&mut self, end: f64, pace: Pace, fields: Fields, attempts: Vec<Attempt>) -> StepRecord {
+        let mut changes = std::collections::BTreeMap::new();
+        if let Some((_, before)) = self.state.history.last() {
+            for ((field, new), old) in self.interface.fields.iter().zip(&fields).zip(before) {
+                let change = new.iter().zip(old).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                changes.insert(field.name.as_str(), change);
+            }
+        }
+        let iterations = attempts.last().map_or(0, |a| a.iterations.len());
+        let state = &mut self.state;
+        state.pace = self.control.accepted(pace, end - state.time, iterations, &changes);
+        state.accelerator.accept(self.settings.coupling.acceleration);
+        widen(&mut state.ranges, &fields);
+        state.history.push((end, fields));
+        if state.history.len() > 3 {
+            state.history.remove(0);
+        }
+        state.time = end;
+        state.number += 1;
+        StepRecord { number: state.number, time: end, attempts }
+    }
+
+    /// Attempts to reach `end`: what happened, the fields, and their last residual.
+    fn attempt(&mut self, end: f64) -> Result<(Attempt, Fields, Fields), CouplingError> {
+        let coupling = &self.settings.coupling;
+        let (loose, acceleration) = (coupling.loose, coupling.acceleration);
+        let max_iterations = if loose { 1 } else { coupling.max_iterations };
+        let step = end - self.state.time;
+        let mut x = self.guess(end);
+        let mut residual = Vec::new();
+        let mut attempt = Attempt { step, iterations: Vec::new(), outcome: AttemptOutcome::NotConverged };
+        self.state.accelerator.begin();
+        let accelerated = self.accelerated();
+        let mut least = f64::INFINITY;
+        // The last fields as they came, for where a unit refuses what acceleration made of them.
+        let mut plain = None;
+        for iteration in 1..=max_iterations {
+            if iteration > 1 {
+                self.each_unit(|unit| unit.restore())?;
+            }
+            let (fields, mut record) = match self.pass(&x, step)? {
+                Pass::Done { fields, record } => (fields, record),
+                Pass::Discarded { unit, reason } => {
+                    if let Some(fields) = plain.take() {
+                        x = fields;
+                        self.state.accelerator.begin();
+                        continue;
+                    }
+                    let unit = self.units[unit].name().to_owned();
+                    attempt.outcome = AttemptOutcome::Discarded { unit, reason };
+                    return Ok((attempt, x, residual));
+                }
+            };
+            residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
+            record.residuals = self.residuals(&residual);
+            let (converged, ratio) = (record.residuals.iter().all(FieldResidual::holds), record.ratio());
+            attempt.iterations.push(record);
+            let finite = fields.iter().flatten().all(|v| v.is_finite());
+            least = least.min(ratio);
+            let outcome = if !finite {
+                Some(AttemptOutcome::NotFinite)
+            } else if loose || converged {
+                Some(AttemptOutcome::Converged)
+            } else {
+                (ratio > DIVERGED * least).then_some(AttemptOutcome::Diverged)
+            };
+            if let Some(outcome) = outcome {
+                attempt.outcome = outcome;
+                return Ok((attempt, fields, residual));
+            }
+            // Fields that are not accelerated are only compared.
+            let weights = self.weights(&accelerated, &fields);
+            let mut flat: Vec<f64> = accelerated.iter().flat_map(|&f| x[f].iter().copied()).collect();
+            let r = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
+            self.state.accelerator.next(acceleration, &mut flat, r, &weights);
+            plain = (acceleration != Acceleration::None).then(|| fields.clone());
+            x = fields;
+            let mut next = flat.into_iter();
+            for &f in &accelerated {
+                x[f].iter_mut().zip(&mut next).for_each(|(x, next)| *x = next);
+            }
+        }
+        Ok((attempt, x, residual))
+    }
+
+    /// The first guess of the fields at `time`: Lagrange's polynomial through the last times.
+    fn guess(&self, time: f64) -> Fields {
+        let points = match self.settings.coupling.extrapolation {
+            Extrapolation::Constant => 1,
+            Extrapolation::Linear => 2,
+            Extrapolation::Quadratic => 3,
+        };
+        let history = &self.state.history;
+        let used = &history[history.len().saturating_sub(points)..];
+        let mut guess: Fields =
+            used.last().map_or_else(Vec::new, |(_, f)| f.iter().map(|f| vec![0.0; f.len()]).collect());
+        for (i, (t, fields)) in used.iter().enumerate() {
+            let others = used.iter().enumerate().filter(|&(j, _)| j != i);
+            let weight: f64 = others.map(|(_, (s, _))| (time - s) / (t - s)).product();
+            for (guess, field) in guess.iter_mut().zip(fields) {
+                guess.iter_mut().zip(field).for_each(|(g, v)| *g += weight * v);
+            }
+        }
+        guess
+    }
+
+    /// The fields that a pass depends on: what the first unit is given, and, where sensitivities of the second are
+    /// connected, the point at which that was found.
+    fn accelerated(&self) -> Vec<usize> {
+        let Scheme { first, connected } = self.settings.scheme;
+        let second = 1 - first;
+        let mut list: Vec<usize> = self.interface.given_by(second).collect();
+        if connected[second] {
+            list.extend(self.interface.given_by(first));
+        }
+        list
+    }
+
+    /// Lets both units do the time step, each from the state it is in.
+    fn pass(&mut self, x: &Fields, step: f64) -> Result<Pass, CouplingError> {
+        let mut fields = x.clone();
+        let mut record = IterationRecord { residuals: Vec::new(), seconds: [0.0; 2], newton: [None; 2] };
+        let first = self.settings.scheme.first;
+        for unit in [first, 1 - first] {
+            let clock = Instant::now();
+            self.set_inputs(unit, &fields, x)?;
+            let time = self.state.time;
+            let outcome = self.call(unit, |u| u.step(time, step))?;
+            if let StepOutcome::Discarded { reason } = outcome {
+                return Ok(Pass::Discarded { unit, reason });
+            }
+            self.get_outputs(unit, &mut fields)?;
+            if self.refreshes(Refresh::Iteration) {
+                self.get_sensitivities(unit)?;
+            }
+            record.seconds[unit] = clock.elapsed().as_secs_f64();
+            record.newton[unit] = self.units[unit].newton_iterations();
+        }
+        Ok(Pass::Done { fields, record })
+    }
+
+    /// Gives a unit its partner's `fields`, with sensitivities around `reference`, its own fields at which its partner
+    /// was evaluated.
+    fn set_inputs(&mut self, unit: usize, fields: &Fields, reference: &Fields) -> Result<(), CouplingError> {
+        let partner = 1 - unit;
+        for f in self.interface.given_by(partner).collect::<Vec<_>>() {
+            let field = self.interface.fields[f].clone();
+            self.call(unit, |u| u.set(&field.name, &fields[f]))?;
+            if self.settings.scheme.connected[partner]
+                && let Some(sensitivity) = &field.sensitivity
+            {
+                let own = format!("{}_reference", self.interface.fields[sensitivity.partner].name);
+                let values = std::mem::take(&mut self.state.sensitivities[f]);
+                self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
+                self.state.sensitivities[f] = values;
+                self.call(unit, |u| u.set(&own, &reference[sensitivity.partner]))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn get_outputs(&mut self, unit: usize, fields: &mut Fields) -> Result<(), CouplingError> {
+        for f in self.interface.given_by(unit).collect::<Vec<_>>() {
+            let name = self.interface.fields[f].name.clone();
+            let expected = self.state.history.last().map(|(_, fields)| fields[f].len());
+            self.call(unit, |u| u.get(&name, &mut fields[f]))?;
+            let found = fields[f].len();
+            if let Some(expected) = expected.filter(|&e| e != found) {
+                return Err(CouplingError::Length { field: name, found, expected });
+            }
+        }
+        Ok(())
+    }
+
+    fn refreshes(&self, when: Refresh) -> bool {
+        self.settings.coupling.sensitivity.refresh == when
+    }
+
+    /// Asks a unit for the sensitivities that are passed on.
+    fn get_sensitivities(&mut self, unit: usize) -> Result<(), CouplingError> {
+        if !self.settings.scheme.connected[unit] {
+            return Ok(());
+        }
+        for f in self.interface.given_by(unit).collect::<Vec<_>>() {
+            if let Some(sensitivity) = self.interface.fields[f].sensitivity.clone() {
+                let mut values = std::mem::take(&mut self.state.sensitivities[f]);
+                self.call(unit, |u| u.get(&sensitivity.variable, &mut values))?;
+                self.state.sensitivities[f] = values;
+            }
+        }
+        Ok(())
+    }
+
+    fn call<T>(
+        &mut self,
+        unit: usize,
+        act: impl FnOnce(&mut dyn Unit) -> Result<T, UnitError>,
+    ) -> Result<T, CouplingError> {
+        let unit = self.units[unit].as_mut();
+        act(unit).map_err(|error| CouplingError::unit(unit, error))
+    }
+
+    fn each_unit(&mut self, act: impl Fn(&mut dyn Unit) -> Result<(), UnitError>) -> Result<(), CouplingError> {
+        (0..2).try_for_each(|unit| self.call(unit, &act))
+    }
+
+    /// Scale of a field: its range at all times up to now, or its floor. Iterates have no part in it: those that
+    /// diverge would excuse themselves.
+    fn scale(&self, f: usize) -> f64 {
+        let [low, high] = self.state.ranges[f];
+        self.interface.fields[f].criterion.floor.0.max(high - low)
+    }
+
+    fn residuals(&self, residual: &Fields) -> Vec<FieldResidual> {
+        let of = |f: usize| {
+            let criterion = self.interface.fields[f].criterion;
+            let r = &residual[f];
+            let worst = (0..r.len()).max_by(|&a, &b| r[a].abs().total_cmp(&r[b].abs()));
+            let norm = match criterion.norm {
+                Norm::Largest => worst.map_or(0.0, |w| r[w].abs()),
+                Norm::RootMeanSquare => (r.iter().map(|r| r * r).sum::<f64>() / r.len().max(1) as f64).sqrt(),
+            };
+            FieldResidual { norm, limit: criterion.tolerance.0 * self.scale(f), worst }
+        };
+        (0..residual.len()).map(of).collect()
+    }
+
+    /// 1/(scale √entries) for each accelerated entry: all fields count alike.
+    fn weights(&self, accelerated: &[usize], fields: &Fields) -> Vec<f64> {
+        let of = |&f: &usize| {
+            let n = fields[f].len();
+            let scale = self.scale(f) * (n as f64).sqrt();
+            std::iter::repeat_n(if scale > 0.0 { 1.0 / scale } else { 1.0 }, n)
+        };
+        accelerated.iter().flat_map(of).collect()
+    }
+
+    fn failure(&self, attempts: Vec<Attempt>, residual: &Fields, can_roll_back: bool) -> Failure {
+        let last = attempts.last().and_then(|a| a.iterations.last());
+        let mut fields = Vec::new();
+        for (f, &of) in last.iter().flat_map(|i| &i.residuals).enumerate().filter(|(_, r)| !r.holds()) {
+            let mut entries: Vec<(usize, f64)> = residual[f].iter().copied().enumerate().collect();
+            entries.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+            entries.truncate(REPORTED);
+            let field = &self.interface.fields[f];
+            fields.push(FailedField { name: field.name.clone(), unit: field.unit.clone(), residual: of, entries });
+        }
+        let minimum = can_roll_back.then(|| self.control.minimum());
+        Failure { time: self.state.time, minimum, attempts, fields }
+    }
+}
+
+/// Widens ranges to hold the values of fields.
+fn widen(ranges: &mut [[f64; 2]], fields: &[Vec<f64>]) {
+    for (range, field) in ranges.iter_mut().zip(fields) {
+        *range = field.iter().fold(*range, |[low, high], &v| [low.min(v), high.max(v)]);
+    }
+}

@@ -1,0 +1,122 @@
+//! What the coupling needs of a unit: the part of FMI 3.0 co-simulation that it uses.
+
+use std::fmt;
+
+/// How a time step of a unit ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StepOutcome {
+    /// It is done; the unit is at the end of the time step.
+    Done,
+    /// It could not be done, as where Newton's method failed; the state is as before. A smaller one may do.
+    Discarded {
+        /// What the unit says.
+        reason: String,
+    },
+}
+
+/// Why a call failed for good.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum UnitError {
+    /// There is no such variable.
+    #[error("there is no variable \"{variable}\"")]
+    UnknownVariable {
+        /// Its name.
+        variable: String,
+    },
+    /// An array has a wrong length.
+    #[error("\"{variable}\" has {expected} entries, not {found}")]
+    Length {
+        /// Name of the variable.
+        variable: String,
+        /// What was given.
+        found: usize,
+        /// What is right.
+        expected: usize,
+    },
+    /// The unit cannot do this.
+    #[error("it does not support this: {what}")]
+    Unsupported {
+        /// What was asked for.
+        what: &'static str,
+    },
+    /// The unit refused.
+    #[error("{message}")]
+    Refused {
+        /// What it says.
+        message: String,
+    },
+}
+
+/// A unit in co-simulation. Variables are arrays, scalars have one entry.
+pub trait Unit {
+    /// What to call it in messages.
+    fn name(&self) -> &str;
+
+    /// Whether there is a variable of this name.
+    fn has(&self, variable: &str) -> bool;
+
+    /// Sets an input or a parameter.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn set(&mut self, variable: &str, values: &[f64]) -> Result<(), UnitError>;
+
+    /// Gets a variable; `values` takes its length.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn get(&mut self, variable: &str, values: &mut Vec<f64>) -> Result<(), UnitError>;
+
+    /// Goes from `time` to `time + step` (s).
+    ///
+    /// # Errors
+    /// [`UnitError`], where the unit cannot be used any more.
+    fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError>;
+
+    /// Whether [`save`](Self::save) and [`restore`](Self::restore) work.
+    fn can_roll_back(&self) -> bool;
+
+    /// Keeps the present state, inputs included, in place of one kept before.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn save(&mut self) -> Result<(), UnitError>;
+
+    /// Goes back to the kept state, as often as wanted.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn restore(&mut self) -> Result<(), UnitError>;
+
+    /// The present state as bytes.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn serialise(&mut self) -> Result<Vec<u8>, UnitError>;
+
+    /// Takes a state from bytes.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn deserialise(&mut self, bytes: &[u8]) -> Result<(), UnitError>;
+
+    /// Newton iterations of the last time step, where it tells.
+    fn newton_iterations(&mut self) -> Option<u64> {
+        None
+    }
+
+    /// ∂(output)/∂(input) · `seed` at the last time step; `None` where it has no derivatives.
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    fn derivative(&mut self, _output: &str, _input: &str, _seed: &[f64]) -> Result<Option<Vec<f64>>, UnitError> {
+        Ok(None)
+    }
+}
+
+impl fmt::Debug for dyn Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Unit({})", self.name())
+    }
+}
