@@ -300,9 +300,13 @@ sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import test_units as t
 host = t.Unit(sys.argv[2])
-unit = host.instantiate()
-unit.setFMUState(unit.deserializeFMUState(Path(sys.argv[3]).read_bytes()))
-print(host.results(unit), t.respond(host, unit))
+units = [host.instantiate() for _ in range(2)]
+for unit in units:
+    unit.setFMUState(unit.deserializeFMUState(Path(sys.argv[3]).read_bytes()))
+# Each without what the other has made ready.
+response = t.respond(host, units[1])
+unit = units[0]
+print(host.results(unit), response)
 t.advance(unit, 2, 4)
 print(host.results(unit), t.respond(host, unit))
 """
@@ -397,7 +401,7 @@ def test_many_instances_leave_no_memory(host):
     before = resident()
     [cycle() for _ in range(int(os.environ.get("UNIT_CYCLES", 200)))]
     # An instance takes some megabytes, a state some 20 kB: a leak of either in each cycle would be seen.
-    assert resident() - before < 4_000_000
+    assert resident() - before < 2_000_000
 
 
 # 5. Directional derivatives.
