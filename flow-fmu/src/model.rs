@@ -194,7 +194,7 @@ pub struct Well {
 pub struct StiffnessCap {
     /// Pa.
     pub matrix: f64,
-    /// Pa/m. 1e10 served the six fractures at time steps of 100 s (project's `coupling.md`); smaller ones want more.
+    /// Pa/m. 1e10 served the six fractures at time steps of 100 s; smaller ones want more.
     pub fracture: f64,
 }
 
