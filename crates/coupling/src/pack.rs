@@ -6,14 +6,18 @@ use std::process::ExitCode;
 use fmi_unit::{Contents, Unit, UnitError};
 
 /// The `main` of a program `pack-… RESOURCES FMU` for a unit whose library is called `library` and lies beside the
-/// program. `documentation` makes the page (HTML) from the folder of resources.
-pub fn pack_main<U: Unit>(library: &str, documentation: impl Fn(&Path) -> Result<String, UnitError>) -> ExitCode {
+/// program. `icon` is a PNG; `documentation` makes the page (HTML) from the folder of resources.
+pub fn pack_main<U: Unit>(
+    library: &str,
+    icon: &[u8],
+    documentation: impl Fn(&Path) -> Result<String, UnitError>,
+) -> ExitCode {
     let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
     let [resources, fmu] = &arguments[..] else {
         eprintln!("two arguments are needed: the folder of the resources, and the FMU to write");
         return ExitCode::from(2);
     };
-    match pack::<U>(library, resources, fmu, &documentation) {
+    match pack::<U>(library, icon, resources, fmu, &documentation) {
         Ok(token) => {
             println!("{token}");
             ExitCode::SUCCESS
@@ -27,6 +31,7 @@ pub fn pack_main<U: Unit>(library: &str, documentation: impl Fn(&Path) -> Result
 
 fn pack<U: Unit>(
     library: &str,
+    icon: &[u8],
     resources: &Path,
     fmu: &Path,
     documentation: &dyn Fn(&Path) -> Result<String, UnitError>,
@@ -37,6 +42,7 @@ fn pack<U: Unit>(
         return Err(format!("the unit's library is not where it was looked for: {}", library.display()).into());
     }
     let documentation = documentation(resources)?;
-    let contents = Contents { library, resources: Some(resources.to_owned()), documentation, icon: None };
+    let contents =
+        Contents { library, resources: Some(resources.to_owned()), documentation, icon: Some(icon.to_vec()) };
     Ok(fmi_unit::pack::<U>(fmu, &contents)?)
 }

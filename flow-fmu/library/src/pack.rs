@@ -5,7 +5,7 @@ use flow_fmu::unit::{FlowUnit, read};
 use fmi_unit::{Log, UnitError};
 
 fn main() -> std::process::ExitCode {
-    coupling::pack_main::<FlowUnit>("flow_unit", |folder| {
+    coupling::pack_main::<FlowUnit>("flow_unit", include_bytes!("../icon.png"), |folder| {
         let (document, mesh) = read(folder)?;
         Ok::<_, UnitError>(FlowUnit::new(&document, mesh, Log::default())?.documentation())
     })

@@ -5,7 +5,7 @@ use fmi_unit::{Log, UnitError};
 use mechanics_fmu::unit::{MechanicsUnit, read};
 
 fn main() -> std::process::ExitCode {
-    coupling::pack_main::<MechanicsUnit>("mechanics_unit", |folder| {
+    coupling::pack_main::<MechanicsUnit>("mechanics_unit", include_bytes!("../icon.png"), |folder| {
         let (document, mesh) = read(folder)?;
         Ok::<_, UnitError>(MechanicsUnit::new(&document, mesh, Log::default())?.documentation())
     })
