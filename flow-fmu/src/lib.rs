@@ -10,6 +10,8 @@
 //! owns the unknowns and their geometry, [`Flow`] the scheme: implicit Euler with C_f and T_f of the last time level,
 //! so that a time step is one linear, symmetric positive definite system.
 //!
+//! [`mod@unit`] is all this as an FMI 3.0 unit; the other modules know neither FMI nor files.
+//!
 //! Mechanics is not known here. What deforms the rock enters as the affine functions of [`Inputs`].
 //!
 //! A column that drains to its right end:

@@ -74,8 +74,9 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
     }
     let peak = peak();
     println!(
-        "  memory: factor {:.0} MB, peak above the mesh {:.0} MB, {:.2} factors",
+        "  memory: factor {:.0} MB, with all that goes with it {:.0} MB, peak above the mesh {:.0} MB = {:.2} factors",
         mb(s.factor_bytes[0]),
+        mb(s.factor_bytes[1]),
         mb(peak - before),
         (peak - before) as f64 / s.factor_bytes[0] as f64
     );

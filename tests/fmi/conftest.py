@@ -8,6 +8,8 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 
 FOLDER = Path(__file__).parents[2] / "target" / "fmi"
+# Both units of the six fractures on a coarse mesh.
+CASE = FOLDER / "c3"
 HEAT, ENABLED, TEMPERATURE, LOSS, HOTTEST, PHASE, STEPS = range(1, 8)
 AMBIENT, MAX_STEP, LABEL, BLOB, FAULT = range(8, 13)
 

@@ -29,7 +29,7 @@ pub mod manufactured {
         ("perturbed hexahedra", [8, 12, 16, 24, 32]),
         ("tetrahedra", [6, 8, 12, 16, 24]),
         ("dual polyhedra", [6, 8, 12, 16, 20]),
-        ("agglomerated tetrahedra", [8, 12, 16, 20, 24]),
+        ("agglomerated tetrahedra", [6, 8, 12, 16, 24]),
     ];
 
     /// A mesh of a family, made from n³ boxes; n is even.

@@ -190,17 +190,16 @@ fn a_bound_that_opening_ends_gives_an_equilibrium_or_is_reported() {
     let cohesive = (0.0..0.9, 0.0..2e6);
     let cohesive = cohesive.prop_map(|(coefficient, cohesion)| Friction::Coulomb { coefficient, cohesion });
     let [steps, converged, ..] = run(100, prop_oneof![tresca, cohesive]);
-    println!("{converged} of {steps}");
     assert!(20 * converged >= 19 * steps, "{converged} of {steps}");
 }
 
 #[test]
-fn strong_friction_gives_an_equilibrium_or_is_reported() {
+fn strong_friction_finds_an_equilibrium_through_cycles() {
     let strong = (1.0..5.0).prop_map(|coefficient| Friction::Coulomb { coefficient, cohesion: 0.0 });
-    let [steps, converged, cycled, iterations] = run(100, strong);
-    println!("{converged} of {steps}, {cycled} after a cycle, {iterations} iterations");
+    let [steps, converged, cycled, _] = run(100, strong);
     assert!(cycled > 0, "no case cycled");
-    assert!(20 * converged >= 19 * steps, "{converged} of {steps}");
+    // Without the sweeps after a cycle one of them fails.
+    assert_eq!(converged, steps);
 }
 
 /// A crack in two squares pressed by a pressure and sheared: the slip at both ends of its range.

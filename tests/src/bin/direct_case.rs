@@ -2,7 +2,7 @@
 //!
 //! What the FMUs of the same resources give is held against it. `FILE` gets a line for each array: name, and numbers as
 //! the 16 hexadecimal digits of their bits. Five time steps each of 100 s: mechanics alone at the initial pressure, flow
-//! alone with apertures and porosity as at the start, and, by [`tests::six_fractures`], both by fixed stress with the
+//! alone with apertures that grow by a quarter in each step after the first, and, by [`tests::six_fractures`], both by fixed stress with the
 //! compliance floor 1 (means of aperture and pressures, and the arrays at the end).
 
 use std::error::Error;
@@ -46,10 +46,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let problem = flow_fmu::unit::problem(&document, &mesh).map_err(|e| e.to_string())?;
     let mut flow = flow_fmu::Flow::new(Arc::clone(&mesh), problem)?;
-    // Apertures that grow drive the flow; else nothing would happen.
     let mut inputs = flow.inputs();
-    inputs.aperture.iter_mut().for_each(|d| *d *= 2.0);
+    let aperture = inputs.aperture.clone();
     for step in 1..=STEPS {
+        // Apertures that grow drive the flow; else nothing would happen.
+        let growth = 1.0 + 0.25 * (step - 1) as f64;
+        inputs.aperture = aperture.iter().map(|d| d * growth).collect();
         let report = flow.step(STEP, &inputs)?;
         note(&format!("flow.matrix.pressure.{step}"), &flow.state().matrix_pressure);
         note(&format!("flow.fracture.pressure.{step}"), flow.fracture_pressure());
