@@ -181,6 +181,18 @@ impl Run {
     /// [`CouplingError::Failed`] with a report where no allowed time step can be done; [`CouplingError::Unit`] where a
     /// unit fails for good; [`CouplingError::Length`].
     pub fn advance(&mut self) -> Result<StepRecord, CouplingError> {
+        self.advance_watched(&mut |_, _, _| {})
+    }
+
+    /// As [`advance`](Self::advance). `watch` is told of each coupling iteration: the end of the time step (s), its
+    /// number from 1, and its record.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn advance_watched(
+        &mut self,
+        watch: &mut dyn FnMut(f64, usize, &IterationRecord),
+    ) -> Result<StepRecord, CouplingError> {
         let can_roll_back = self.units.iter().all(|unit| unit.can_roll_back());
         if can_roll_back {
             self.each_unit(|unit| unit.save())?;
@@ -194,7 +206,7 @@ impl Run {
         loop {
             let end = self.control.next(self.state.time, pace);
             let step = end - self.state.time;
-            let (attempt, fields, residual) = self.attempt(end)?;
+            let (attempt, fields, residual) = self.attempt(end, watch)?;
             let outcome = attempt.outcome.clone();
             attempts.push(attempt);
             if outcome == AttemptOutcome::Converged {
@@ -234,7 +246,11 @@ impl Run {
     }
 
     /// Attempts to reach `end`: what happened, the fields, and their last residual.
-    fn attempt(&mut self, end: f64) -> Result<(Attempt, Fields, Fields), CouplingError> {
+    fn attempt(
+        &mut self,
+        end: f64,
+        watch: &mut dyn FnMut(f64, usize, &IterationRecord),
+    ) -> Result<(Attempt, Fields, Fields), CouplingError> {
         let coupling = &self.settings.coupling;
         let (loose, acceleration) = (coupling.loose, coupling.acceleration);
         let max_iterations = if loose { 1 } else { coupling.max_iterations };
@@ -267,6 +283,7 @@ impl Run {
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             record.residuals = self.residuals(&residual);
             let (converged, ratio) = (record.residuals.iter().all(FieldResidual::holds), record.ratio());
+            watch(end, iteration, &record);
             attempt.iterations.push(record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
