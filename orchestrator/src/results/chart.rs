@@ -14,7 +14,7 @@ pub(crate) const SCALE: i32 = 4;
 /// Width of all charts as shown: a phone shows them at some 75 %, still readable.
 pub(crate) const WIDTH: i32 = 480;
 /// Room left of a chart, for numbers and label, apart from [`MARGIN`].
-const LEFT: i32 = 56;
+const LEFT: i32 = 60;
 /// Room at the left edge, for what different programs make of turned text.
 const MARGIN: i32 = 8;
 /// Room right of a chart: half a number.
@@ -154,7 +154,7 @@ impl Axis {
     pub(crate) fn new(label: impl Into<String>, low: f64, high: f64) -> Self {
         // A constant still has a height.
         let margin = 0.04 * (high - low).max(1e-2 * high.abs().max(low.abs())).max(f64::MIN_POSITIVE);
-        Self::exact(label, low - margin, high + margin, 6)
+        Self::exact(label, low - margin, high + margin, 8)
     }
 
     /// From `low` to `high`, with about `count` ticks.

@@ -352,6 +352,17 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
             let mut capital = quantity[..1].to_uppercase();
             capital += &quantity[1..];
             let parts = if columns == 2 { ": normal part solid, tangential part dashed" } else { "" };
+            if columns == 2 {
+                // For the legend only.
+                let points = Vec::new();
+                curves.push(Curve {
+                    label: Some("tangential".into()),
+                    color: INK,
+                    dashed: true,
+                    circles: false,
+                    points,
+                });
+            }
             figures.push(Figure {
                 name: format!("{}-fracture-{}", quantity.replace(' ', "-"), fracture + 1),
                 caption: format!("{capital} along fracture {name}{parts}."),

@@ -538,7 +538,9 @@ fn profiles_and_projections_are_drawn_where_they_make_sense() {
     assert_eq!(names(&path).len(), 12);
     let profile = fs::read_to_string(path.join("plots/traction-fracture-2.svg")).unwrap();
     assert!(
-        ["100 s", "500 s", "1000 s", "traction (MPa)", "along the fracture (m)"].iter().all(|l| profile.contains(l))
+        ["100 s", "500 s", "1000 s", "tangential", "traction (MPa)", "along the fracture (m)"]
+            .iter()
+            .all(|l| profile.contains(l))
     );
 
     let path = temporary.path().join("space");
