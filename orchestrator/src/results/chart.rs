@@ -11,23 +11,24 @@ use super::ResultsError;
 
 /// Drawn pixels for one shown.
 pub(crate) const SCALE: i32 = 4;
-/// Width of all charts as shown: a phone shows them at some 60 %, still readable.
-pub(crate) const WIDTH: i32 = 560;
-/// Room left of a chart, for numbers and label.
-const LEFT: i32 = 66;
+/// Width of all charts as shown: a phone shows them at some 75 %, still readable.
+pub(crate) const WIDTH: i32 = 480;
+/// Room left of a chart, for numbers and label, apart from [`MARGIN`].
+const LEFT: i32 = 60;
+/// Room at the left edge, for what different programs make of turned text.
+const MARGIN: i32 = 8;
 /// Room right of a chart: half a number.
 const RIGHT: i32 = 18;
 /// Room below a chart.
-const BELOW: i32 = 46;
+const BELOW: i32 = 42;
 /// Room above a chart: half a number.
 const ABOVE: i32 = 8;
 
 pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub(crate) const VERMILION: RGBColor = RGBColor(213, 94, 0);
-pub(crate) const GREEN: RGBColor = RGBColor(0, 158, 115);
 pub(crate) const ORANGE: RGBColor = RGBColor(230, 159, 0);
 pub(crate) const GREY: RGBColor = RGBColor(130, 130, 130);
-const INK: RGBColor = RGBColor(40, 40, 40);
+pub(crate) const INK: RGBColor = RGBColor(40, 40, 40);
 
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 pub(crate) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
@@ -70,7 +71,7 @@ impl Key {
 
     fn width(&self) -> i32 {
         // Sans-serif letters are a bit more than half as wide as high.
-        28 + (7.0 * self.label.chars().count() as f64) as i32 + 14
+        28 + (7.3 * self.label.chars().count() as f64) as i32 + 8
     }
 }
 
@@ -97,7 +98,7 @@ pub(crate) fn svg(
         let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
         area.fill(&WHITE)?;
         let at = |x: i32, y: i32| (x * SCALE, y * SCALE);
-        let bold = FontDesc::new(FontFamily::SansSerif, f64::from(px(15.0)), FontStyle::Bold);
+        let bold = FontDesc::new(FontFamily::SansSerif, letters(15.0), FontStyle::Bold);
         area.draw(&Text::new(title.to_owned(), at(12, 10), TextStyle::from(bold).color(&INK)))?;
         for (key, &(x, y)) in keys.iter().zip(&places) {
             let y = y + 7;
@@ -125,8 +126,13 @@ pub(crate) fn svg(
     Ok(text.replacen(&large, &shown, 1))
 }
 
-fn font(size: f64) -> TextStyle<'static> {
-    TextStyle::from(("sans-serif", px(size)).into_font()).color(&INK)
+/// What plotters must be told for letters of a size (shown): it divides by this to allow for the whole line.
+fn letters(size: f64) -> f64 {
+    1.24 * f64::from(px(size))
+}
+
+pub(crate) fn font(size: f64) -> TextStyle<'static> {
+    TextStyle::from(("sans-serif", letters(size)).into_font()).color(&INK)
 }
 
 /// Text for XML.
@@ -148,7 +154,7 @@ impl Axis {
     pub(crate) fn new(label: impl Into<String>, low: f64, high: f64) -> Self {
         // A constant still has a height.
         let margin = 0.04 * (high - low).max(1e-2 * high.abs().max(low.abs())).max(f64::MIN_POSITIVE);
-        Self::exact(label, low - margin, high + margin, 6)
+        Self::exact(label, low - margin, high + margin, 8)
     }
 
     /// From `low` to `high`, with about `count` ticks.
@@ -226,6 +232,7 @@ pub(crate) fn axes<'a, 'b>(
 ) -> Result<Chart<'a, 'b>, DrawingAreaErrorKind<std::io::Error>> {
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(ABOVE.into()))
+        .margin_left(px(MARGIN.into()))
         .margin_right(px((RIGHT + free).into()))
         .x_label_area_size(px(BELOW.into()))
         .y_label_area_size(px(LEFT.into()))
@@ -248,8 +255,8 @@ pub(crate) fn axes<'a, 'b>(
 
 /// Height (shown) of the area, and room on the right, with which axes have the same scale in x and y.
 pub(crate) fn equal_scale(x: &Axis, y: &Axis) -> (i32, i32) {
-    const HIGHEST: f64 = 480.0;
-    let width = f64::from(WIDTH - LEFT - RIGHT);
+    const HIGHEST: f64 = 420.0;
+    let width = f64::from(WIDTH - MARGIN - LEFT - RIGHT);
     let ratio = (y.high - y.low) / (x.high - x.low);
     let height = (width * ratio).min(HIGHEST);
     ((height.round() as i32) + ABOVE + BELOW, (width - height / ratio).round() as i32)
@@ -286,7 +293,7 @@ pub(crate) fn extent(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)
 pub(crate) fn curves(title: &str, x: &Axis, y: &Axis, curves: &[Curve]) -> Result<String, ResultsError> {
     let mark = |c: &Curve| if c.dashed { Mark::Dashes } else { Mark::Line };
     let keys: Vec<Key> = curves.iter().filter_map(|c| Some(Key::new(c.label.clone()?, c.color, mark(c)))).collect();
-    svg(title, &keys, 300, |area| {
+    svg(title, &keys, 270, |area| {
         let mut chart = axes(area, x, y, 0)?;
         for curve in curves {
             let style = curve.color.stroke_width(px(2.0));
@@ -345,9 +352,10 @@ pub(crate) fn number(value: f64) -> String {
         return "0".into();
     }
     let size = value.abs().log10().floor();
-    if !(-3.0..6.0).contains(&size) {
+    if !(-3.0..5.0).contains(&size) {
         let text = format!("{value:.3e}");
         let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        let mantissa = mantissa.trim_end_matches('0').trim_end_matches('.');
         return match exponent.parse() {
             Ok(i) => format!("{mantissa} × {}", power(i)).replace('-', "−"),
             Err(_) => text,

@@ -59,7 +59,7 @@ impl Fields {
 
 /// An array on fracture faces as ParaView shows it best: vectors in space, and as `.normal` and `.tangential` their part
 /// along n⁺ and the length of the rest.
-struct Parts<'a> {
+pub(crate) struct Parts<'a> {
     array: &'a Array,
     vectors: Vec<Vec3>,
     names: [String; 2],
@@ -67,7 +67,7 @@ struct Parts<'a> {
 }
 
 impl<'a> Parts<'a> {
-    fn new(mesh: &Mesh, array: &'a Array) -> Self {
+    pub(crate) fn new(mesh: &Mesh, array: &'a Array) -> Self {
         let names = ["normal", "tangential"].map(|part| format!("{}.{part}", array.name));
         let mut parts = Self { array, vectors: Vec::new(), names, values: [Vec::new(), Vec::new()] };
         if array.shape == Shape::FractureVectors {
@@ -80,6 +80,11 @@ impl<'a> Parts<'a> {
             }
         }
         parts
+    }
+
+    #[cfg(test)]
+    pub(crate) fn vectors(&self) -> &[Vec3] {
+        &self.vectors
     }
 
     fn fields(&self) -> Vec<Field<'_>> {

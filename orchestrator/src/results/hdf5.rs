@@ -84,13 +84,11 @@ fn put_rest(file: &File, manifest: &Manifest, entries: &[Entry]) -> Hdf5Result<(
     text(&outcome, "outcomes", &OUTCOMES.join(","))?;
 
     let iterations = file.create_group("iterations")?;
-    let rows = || {
-        let of = |(record, a, attempt): (_, usize, &'_ crate::Attempt)| -> Vec<_> {
-            (1..).zip(attempt.iterations.clone()).map(|(i, iteration)| (record, a, i, iteration)).collect()
-        };
-        rows().flat_map(of)
-    };
-    let rows: Vec<(&StepRecord, usize, usize, IterationRecord)> = rows().collect();
+    let mut list: Vec<(&StepRecord, usize, usize, &IterationRecord)> = Vec::new();
+    for (record, a, attempt) in rows() {
+        list.extend((1..).zip(&attempt.iterations).map(|(i, iteration)| (record, a, i, iteration)));
+    }
+    let rows = list;
     integers(&iterations, "time_step", rows.iter().map(|r| r.0.number))?;
     integers(&iterations, "attempt", rows.iter().map(|r| r.1))?;
     integers(&iterations, "iteration", rows.iter().map(|r| r.2))?;

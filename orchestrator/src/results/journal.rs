@@ -175,3 +175,25 @@ impl Iterator for Entries {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_an_error_with_the_place() {
+        let path = PathBuf::from("/dev/full");
+        let file = OpenOptions::new().write(true).open(&path).unwrap();
+        let mut journal = Journal { path: path.clone(), file, length: 8 };
+        let record = StepRecord { number: 0, time: 0.0, attempts: Vec::new() };
+        let snapshot = Snapshot { time: 0.0, scalars: Vec::new(), arrays: Vec::new() };
+        match journal.append(&record, &snapshot) {
+            Err(ResultsError::Io { path: found, source }) => {
+                assert_eq!(found, path);
+                assert_eq!(source.kind(), std::io::ErrorKind::StorageFull);
+            }
+            other => panic!("{other:?}"),
+        }
+        assert_eq!(journal.length, 8);
+    }
+}

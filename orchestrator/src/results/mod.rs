@@ -184,46 +184,49 @@ impl Folder {
             name.push(end);
             PathBuf::from(name)
         };
-        let part = beside(files::PART);
-        if part.join(MANIFEST).is_file() {
+        let [part, old] = [files::PART, ".old"].map(beside);
+        let left_over = [MANIFEST, "manifest.json.part"].iter().any(|name| part.join(name).is_file());
+        if left_over {
             fs::remove_dir_all(&part).map_err(ResultsError::io(&part))?;
-        }
-        if !is_free(&part)? {
+        } else if !is_free(&part)? {
             return Err(ResultsError::Foreign(part));
         }
-        fs::create_dir_all(part.join(fields::FOLDER)).map_err(ResultsError::io(&part))?;
-        files::replace(&part.join(MANIFEST), manifest.to_json().as_bytes())?;
-        mesh_io::write_hdf5(part.join(MESH), mesh.data())?;
-        let record = StepRecord { number: 0, time: start.time, attempts: Vec::new() };
-        let entry = Entry { record, snapshot: start.clone() };
-        let mut folder = Self {
-            tables: Tables::create(&part, manifest, start, &tables::rows(&entry.record, start))?,
-            fields: Fields::default(),
-            journal: Journal::create(&part.join(JOURNAL))?,
-            path: part.clone(),
-            manifest: manifest.clone(),
-            mesh,
-            scalars: names(start),
-            last: 0,
-            seconds: 0.0,
-        };
-        folder.check(&entry.record, start)?;
-        folder.journal.append(&entry.record, start)?;
-        folder.fields.write(&part, &folder.mesh, 0, start)?;
-        files::sync_folder(&part)?;
-        let old = beside(".old");
+        let filled = Self::fill(&part, manifest, mesh, start);
+        if filled.is_err() {
+            // The error is what matters; the part may not even exist.
+            let _ = fs::remove_dir_all(&part);
+        }
+        let mut folder = filled?;
         if occupied {
             fs::rename(path, &old).map_err(ResultsError::io(path))?;
         }
         fs::rename(&part, path).map_err(ResultsError::io(path))?;
+        files::sync_folder(path.parent().unwrap_or(path))?;
         folder.path = path.into();
         folder.journal.moved_to(path.join(JOURNAL));
-        files::sync_folder(path.parent().unwrap_or(path))?;
+        folder.tables.moved_to(path);
         if occupied {
             fs::remove_dir_all(&old).map_err(ResultsError::io(&old))?;
         }
         folder.seconds = clock.elapsed().as_secs_f64();
         Ok(folder)
+    }
+
+    fn fill(path: &Path, manifest: &Manifest, mesh: Mesh, start: &Snapshot) -> Result<Self, ResultsError> {
+        let scalars = names(start);
+        let record = StepRecord { number: 0, time: start.time, attempts: Vec::new() };
+        check(manifest, &mesh, &scalars, &record, start)?;
+        fs::create_dir_all(path).map_err(ResultsError::io(path))?;
+        files::replace(&path.join(MANIFEST), manifest.to_json().as_bytes())?;
+        mesh_io::write_hdf5(path.join(MESH), mesh.data())?;
+        fs::create_dir_all(path.join(fields::FOLDER)).map_err(ResultsError::io(path))?;
+        let mut journal = Journal::create(&path.join(JOURNAL))?;
+        journal.append(&record, start)?;
+        let mut fields = Fields::default();
+        fields.write(path, &mesh, 0, start)?;
+        let tables = Tables::create(path, manifest, start, &tables::rows(&record, start))?;
+        let manifest = manifest.clone();
+        Ok(Self { path: path.into(), manifest, mesh, journal, tables, fields, scalars, last: 0, seconds: 0.0 })
     }
 
     /// Opens a folder to go on after time step number `last`, or after the last that is complete: drops what lies
@@ -253,9 +256,7 @@ impl Folder {
             Ok(())
         })?;
         let start = start.ok_or_else(|| ResultsError::damaged(&path.join(JOURNAL), "it has no start"))?;
-        for name in [PAGE, RUN, SUMMARY] {
-            files::remove(path, |file| file == name || file.ends_with(files::PART))?;
-        }
+        files::remove(path, |name| [PAGE, RUN, SUMMARY].contains(&name) || name.ends_with(files::PART))?;
         if path.join(PLOTS).is_dir() {
             files::remove(&path.join(PLOTS), |file| file.ends_with(".svg"))?;
         }
@@ -310,30 +311,12 @@ impl Folder {
             let reason = format!("the one after {} is expected", self.last);
             return Err(ResultsError::Content { number: record.number, reason });
         }
-        self.check(record, snapshot)?;
+        check(&self.manifest, &self.mesh, &self.scalars, record, snapshot)?;
         self.journal.append(record, snapshot)?;
         self.last = record.number;
         self.tables.append(&tables::rows(record, snapshot))?;
         self.fields.write(&self.path, &self.mesh, record.number, snapshot)?;
         self.seconds += clock.elapsed().as_secs_f64();
-        Ok(())
-    }
-
-    fn check(&self, record: &StepRecord, snapshot: &Snapshot) -> Result<(), ResultsError> {
-        let fail = |reason| Err(ResultsError::Content { number: record.number, reason });
-        if names(snapshot) != self.scalars {
-            return fail("its scalars are not those of the start".into());
-        }
-        let residuals = record.attempts.iter().flat_map(|a| &a.iterations).map(|i| i.residuals.len());
-        if let Some(found) = residuals.into_iter().find(|&n| n != self.manifest.fields.len()) {
-            return fail(format!("there are {found} residuals for {} coupled fields", self.manifest.fields.len()));
-        }
-        for array in &snapshot.arrays {
-            let (found, expected) = (array.values.len(), array.shape.length(&self.mesh));
-            if found != expected {
-                return fail(format!("\"{}\" has {found} values; there must be {expected}", array.name));
-            }
-        }
         Ok(())
     }
 
@@ -370,7 +353,7 @@ impl Folder {
         let journal = self.path.join(JOURNAL);
         hdf5::write(&self.path.join(RUN), &self.manifest, Entries::open(&journal)?)?;
         let history = plots::History::read(&journal)?;
-        let plots = plots::draw(&self.manifest, &self.mesh, &history)?;
+        let plots = plots::draw(&self.manifest, &self.mesh, &history, summary.failure.as_ref())?;
         let folder = self.path.join(PLOTS);
         fs::create_dir_all(&folder).map_err(ResultsError::io(&folder))?;
         files::remove(&folder, |name| name.ends_with(".svg"))?;
@@ -398,4 +381,29 @@ fn is_free(path: &Path) -> Result<bool, ResultsError> {
 
 fn names(snapshot: &Snapshot) -> Vec<(String, String)> {
     snapshot.scalars.iter().map(|s| (s.name.clone(), s.unit.clone())).collect()
+}
+
+/// Whether a time step fits the run.
+fn check(
+    manifest: &Manifest,
+    mesh: &Mesh,
+    scalars: &[(String, String)],
+    record: &StepRecord,
+    snapshot: &Snapshot,
+) -> Result<(), ResultsError> {
+    let fail = |reason| Err(ResultsError::Content { number: record.number, reason });
+    if names(snapshot) != scalars {
+        return fail("its scalars are not those of the start".into());
+    }
+    let mut residuals = record.attempts.iter().flat_map(|a| &a.iterations).map(|i| i.residuals.len());
+    if let Some(found) = residuals.find(|&n| n != manifest.fields.len()) {
+        return fail(format!("there are {found} residuals for {} coupled fields", manifest.fields.len()));
+    }
+    for array in &snapshot.arrays {
+        let (found, expected) = (array.values.len(), array.shape.length(mesh));
+        if found != expected {
+            return fail(format!("\"{}\" has {found} values; there must be {expected}", array.name));
+        }
+    }
+    Ok(())
 }

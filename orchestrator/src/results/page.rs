@@ -19,7 +19,7 @@ p{margin:.4rem 0}.about{max-width:46rem;color:#444}
 .facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.75rem;margin:1rem 0;padding:0}
 .facts div{background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.6rem .8rem}
 .facts b{display:block;font-size:1.35rem;font-weight:600}.facts span{font-size:.85rem;color:#555}
-.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:1rem}
+.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:1rem;align-items:start}
 figure{margin:0;background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.6rem;break-inside:avoid}
 figure svg{display:block;width:100%;height:auto;max-width:640px;margin:0 auto}
 figcaption{font-size:.88rem;color:#555;padding:.3rem .4rem 0}
@@ -28,9 +28,11 @@ table{border-collapse:collapse;width:100%;font-size:.93rem}
 th,td{text-align:left;padding:.35rem .8rem;border-bottom:1px solid #eceff1;vertical-align:top}
 tr:last-child>*{border-bottom:0}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 thead th{background:#eef1f3;font-weight:600}
-pre{background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.8rem;overflow-x:auto;font-size:.85rem;line-height:1.4}
+pre{background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.8rem;overflow-x:auto;font-size:.85rem;line-height:1.4;white-space:pre-wrap}
 code{overflow-wrap:anywhere;font-size:.9em}summary{cursor:pointer;font-weight:600;margin:.8rem 0}
-@media(max-width:640px){main{padding:.75rem}h1{font-size:1.35rem}th,td{padding:.3rem .5rem}}
+@media(max-width:640px){main{padding:.75rem}h1{font-size:1.35rem}th,td{padding:.3rem .4rem}
+.x{display:none}
+figure{padding:.2rem}}
 ";
 
 /// The files beside the page, with what is in them.
@@ -78,7 +80,7 @@ impl Totals {
         seconds.extend(summary.seconds.iter().cloned());
         Self {
             time_steps: history.records.len(),
-            failed_attempts: attempts().count() - history.records.len(),
+            failed_attempts: attempts().filter(|a| a.outcome != AttemptOutcome::Converged).count(),
             iterations: iterations().count(),
             range: (accepted().min().unwrap_or(0), accepted().max().unwrap_or(0)),
             newton: [newton(0), newton(1)],
@@ -148,7 +150,7 @@ pub(crate) fn page(
     html += "<h2>Files</h2>\n<div class=\"wide\"><table><tbody>\n";
     for (file, content) in FILES.iter().filter(|f| f.0 != "fields/fractures.pvd" || manifest.mesh.fracture_faces() > 0)
     {
-        html += &format!("<tr><th><a href=\"{file}\">{file}</a></th><td>{content}</td></tr>\n");
+        html += &format!("<tr><th><a href=\"{file}\">{}</a></th><td>{content}</td></tr>\n", breakable(file));
     }
     html + "</tbody></table></div>\n</main>\n</body>\n</html>\n"
 }
@@ -181,7 +183,7 @@ fn scalars(history: &History) -> String {
     }
     let mut html = String::from(
         "<h2>Scalars</h2>\n<div class=\"wide\"><table><thead><tr><th>name</th><th>unit</th><th class=\"n\">start</th>\
-         <th class=\"n\">end</th><th class=\"n\">smallest</th><th class=\"n\">largest</th></tr></thead><tbody>\n",
+         <th class=\"n\">end</th><th class=\"n x\">smallest</th><th class=\"n x\">largest</th></tr></thead><tbody>\n",
     );
     for (quantity, values) in &history.series {
         let value = |v: Option<f64>| v.map_or_else(String::new, number);
@@ -189,9 +191,9 @@ fn scalars(history: &History) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(
             html,
-            "<tr><th>{}</th><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-             <td class=\"n\">{}</td></tr>",
-            escaped(&quantity.name),
+            "<tr><th>{}</th><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n x\">{}</td>\
+             <td class=\"n x\">{}</td></tr>",
+            breakable(&quantity.name),
             escaped(&unit),
             value(values.first().copied()),
             value(values.last().copied()),
@@ -205,7 +207,7 @@ fn scalars(history: &History) -> String {
 fn timings(manifest: &Manifest, totals: &Totals) -> String {
     let mut html = String::from(
         "<h2>Wall time</h2>\n<div class=\"wide\"><table><thead><tr><th>part</th><th class=\"n\">seconds</th>\
-         <th class=\"n\">ms a coupling iteration</th></tr></thead><tbody>\n",
+         <th class=\"n\">ms an iteration</th></tr></thead><tbody>\n",
     );
     for (i, (name, seconds)) in totals.seconds.iter().enumerate() {
         let unit = i < manifest.units.len();
@@ -286,6 +288,11 @@ fn repeat(manifest: &Manifest) -> String {
         "</tbody></table></div>\n<details><summary>The model as it was run</summary>\n<pre>{}</pre></details>\n",
         escaped(&model.toml)
     )
+}
+
+/// A name that narrow tables may break at its joints.
+fn breakable(name: &str) -> String {
+    escaped(name).replace('_', "_<wbr/>").replace('.', ".<wbr/>")
 }
 
 /// A count with thin spaces.

@@ -5,13 +5,14 @@ use std::path::Path;
 use mesh::{Mesh, Vec3};
 use model::Plot;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::chart::{
-    self, Axis, BLUE, Curve, GREEN, GREY, Key, Mark, ORANGE, VERMILION, equal_scale, extent, label, px, ramp, scaled,
+    self, Axis, BLUE, Curve, GREY, INK, Key, Mark, ORANGE, VERMILION, equal_scale, extent, label, px, ramp, scaled,
 };
 use super::journal::Entries;
 use super::{Array, Manifest, Quantity, ResultsError, Shape};
-use crate::record::StepRecord;
+use crate::record::{Attempt, AttemptOutcome, Failure, StepRecord};
 
 /// Output times that are drawn, at most: the last one and others evenly before it.
 const SHOWN: usize = 6;
@@ -103,7 +104,12 @@ impl History {
 }
 
 /// Draws what the manifest asks for and the run has data for.
-pub(crate) fn draw(manifest: &Manifest, mesh: &Mesh, history: &History) -> Result<Vec<Figure>, ResultsError> {
+pub(crate) fn draw(
+    manifest: &Manifest,
+    mesh: &Mesh,
+    history: &History,
+    failure: Option<&Failure>,
+) -> Result<Vec<Figure>, ResultsError> {
     let asked = |plot: Plot| manifest.plots.contains(&plot);
     let wanted = |plot: Plot| manifest.plots.is_empty() || asked(plot);
     let mut figures = Vec::new();
@@ -133,9 +139,9 @@ pub(crate) fn draw(manifest: &Manifest, mesh: &Mesh, history: &History) -> Resul
         let arrays = [("fracture.displacement_jump", "displacement jump"), ("fracture.traction", "traction")];
         figures.extend(profiles(mesh, history, &arrays)?);
     }
-    if wanted(Plot::CouplingConvergence) && !history.records.is_empty() {
-        figures.push(iterations(history)?);
-        figures.push(convergence(history)?);
+    if wanted(Plot::CouplingConvergence) {
+        figures.extend(iterations(history)?);
+        figures.extend(convergence(history, failure)?);
     }
     Ok(figures)
 }
@@ -202,9 +208,7 @@ fn flat(mesh: &Mesh, title: &str, keys: &[Key], state: &dyn Fn(usize) -> usize) 
     let axis = |name: &str, of: fn(&Vec3) -> f64| {
         let (low, high) = extent(x.iter().map(of)).unwrap_or((0.0, 1.0));
         let (factor, unit) = scaled("m", low.abs().max(high.abs()));
-        // The outline must not be cut in half.
-        let margin = 0.01 * (high - low) * factor;
-        (Axis::exact(label(name, &unit), low * factor - margin, high * factor + margin, 6), factor)
+        (Axis::exact(label(name, &unit), low * factor, high * factor, 6), factor)
     };
     let ((x_axis, fx), (y_axis, fy)) = (axis("x", |p| p.x), axis("y", |p| p.y));
     let point = |v: usize| (x[v].x * fx, x[v].y * fy);
@@ -235,8 +239,8 @@ fn flat(mesh: &Mesh, title: &str, keys: &[Key], state: &dyn Fn(usize) -> usize) 
 
 /// Seen from in front, right and above; faces that are farther away are drawn first.
 fn isometric(mesh: &Mesh, title: &str, keys: &[Key], state: &dyn Fn(usize) -> usize) -> Result<String, ResultsError> {
-    // Azimuth −60°, elevation 25°.
-    let (a, e) = (-60_f64.to_radians(), 25_f64.to_radians());
+    // Azimuth −52°, elevation 28°: rarely along a fracture.
+    let (a, e) = (-52_f64.to_radians(), 28_f64.to_radians());
     let right = Vec3::new(-a.sin(), a.cos(), 0.0);
     let towards = Vec3::new(a.cos() * e.cos(), a.sin() * e.cos(), e.sin());
     let up = towards.cross(right);
@@ -251,12 +255,13 @@ fn isometric(mesh: &Mesh, title: &str, keys: &[Key], state: &dyn Fn(usize) -> us
     let corners: Vec<(f64, f64)> = (0..8).map(|i| project(corner(i))).collect();
     let (x0, x1) = extent(corners.iter().map(|c| c.0)).unwrap_or((0.0, 1.0));
     let (y0, y1) = extent(corners.iter().map(|c| c.1)).unwrap_or((0.0, 1.0));
-    const ROOM: f64 = 40.0;
-    let scale = ((f64::from(chart::WIDTH) - 2.0 * ROOM) / (x1 - x0)).min(420.0 / (y1 - y0));
-    let height = ((y1 - y0) * scale + 2.0 * ROOM) as i32;
+    // Room (shown pixels) at the sides, above and below.
+    const ROOM: [f64; 3] = [60.0, 10.0, 20.0];
+    let scale = ((f64::from(chart::WIDTH) - 2.0 * ROOM[0]) / (x1 - x0)).min(380.0 / (y1 - y0));
+    let height = ((y1 - y0) * scale + ROOM[1] + ROOM[2]) as i32;
     let left = 0.5 * (f64::from(chart::WIDTH) - (x1 - x0) * scale);
     let pixel = |(x, y): (f64, f64)| {
-        let (x, y) = (left + (x - x0) * scale, ROOM + (y1 - y) * scale);
+        let (x, y) = (left + (x - x0) * scale, ROOM[1] + (y1 - y) * scale);
         ((x * f64::from(chart::SCALE)) as i32, (y * f64::from(chart::SCALE)) as i32)
     };
     let network = mesh.network();
@@ -275,18 +280,24 @@ fn isometric(mesh: &Mesh, title: &str, keys: &[Key], state: &dyn Fn(usize) -> us
             let polygon: Vec<_> =
                 mesh.face_vertices(network.faces[f]).iter().map(|&v| pixel(project(vertices[v]))).collect();
             let color = STATES[state(f)].1;
-            area.draw(&Polygon::new(polygon.clone(), color.mix(0.75).filled()))?;
+            area.draw(&Polygon::new(polygon.clone(), color.mix(0.9).filled()))?;
             let closed: Vec<_> = polygon.iter().chain(polygon.first()).copied().collect();
             area.draw(&PathElement::new(closed, WHITE.mix(0.8).stroke_width(px(0.5))))?;
         }
         // The lengths of three edges that lie in front.
-        for (k, from) in [(0, 0b000), (1, 0b001), (2, 0b011)] {
+        let edges = [
+            (0b000, HPos::Right, VPos::Top, -6),
+            (0b001, HPos::Left, VPos::Top, 6),
+            (0b011, HPos::Left, VPos::Center, 8),
+        ];
+        for (k, (from, h, v, shift)) in edges.into_iter().enumerate() {
             let (p, q) = (corners[from], corners[from | 1 << k]);
             let (factor, unit) = scaled("m", high[k] - low[k]);
             let name = format!("{}: {} {unit}", ["x", "y", "z"][k], chart::number((high[k] - low[k]) * factor));
             let (x, y) = pixel((0.5 * (p.0 + q.0), 0.5 * (p.1 + q.1)));
-            let style = TextStyle::from(("sans-serif", px(13.0)).into_font());
-            area.draw(&Text::new(name, (x + if k == 2 { 0 } else { 8 * chart::SCALE }, y + 6 * chart::SCALE), style))?;
+            let below = if k == 2 { 0 } else { 5 };
+            let at = (x + shift * chart::SCALE, y + below * chart::SCALE);
+            area.draw(&Text::new(name, at, chart::font(13.0).pos(Pos::new(h, v))))?;
         }
         Ok(())
     })
@@ -341,6 +352,17 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
             let mut capital = quantity[..1].to_uppercase();
             capital += &quantity[1..];
             let parts = if columns == 2 { ": normal part solid, tangential part dashed" } else { "" };
+            if columns == 2 {
+                // For the legend only.
+                let points = Vec::new();
+                curves.push(Curve {
+                    label: Some("tangential".into()),
+                    color: INK,
+                    dashed: true,
+                    circles: false,
+                    points,
+                });
+            }
             figures.push(Figure {
                 name: format!("{}-fracture-{}", quantity.replace(' ', "-"), fracture + 1),
                 caption: format!("{capital} along fracture {name}{parts}."),
@@ -352,22 +374,22 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
 }
 
 /// Coupling iterations of each time step.
-fn iterations(history: &History) -> Result<Figure, ResultsError> {
+fn iterations(history: &History) -> Result<Option<Figure>, ResultsError> {
     let counts: Vec<(f64, f64, f64)> = (history.records.iter())
         .map(|record| {
             let all: usize = record.attempts.iter().map(|a| a.iterations.len()).sum();
             (record.number as f64, record.iterations().len() as f64, all as f64)
         })
         .collect();
+    let (Some((first, ..)), Some((last, ..))) = (counts.first(), counts.last()) else { return Ok(None) };
     let highest = counts.iter().map(|c| c.2).fold(1.0, f64::max);
-    let (first, last) = (counts[0].0, counts[counts.len() - 1].0);
     let x = Axis::counts("time step", first - 0.6, last + 0.6);
     let y = Axis::counts("coupling iterations", 0.0, highest);
     let mut keys = vec![Key::new("accepted attempt", BLUE, Mark::Box)];
     if counts.iter().any(|c| c.2 > c.1) {
         keys.push(Key::new("failed attempts", ORANGE, Mark::Box));
     }
-    let svg = chart::svg("Coupling iterations of each time step", &keys, 300, |area| {
+    let svg = chart::svg("Coupling iterations of each time step", &keys, 270, |area| {
         let mut chart = chart::axes(area, &x, &y, 0)?;
         for &(number, accepted, all) in &counts {
             let bar =
@@ -379,58 +401,49 @@ fn iterations(history: &History) -> Result<Figure, ResultsError> {
         }
         Ok(())
     })?;
-    Ok(Figure { name: "coupling-iterations".into(), caption: "Coupling iterations of each time step.".into(), svg })
+    let caption = "Coupling iterations of each time step.".into();
+    Ok(Some(Figure { name: "coupling-iterations".into(), caption, svg }))
 }
 
 /// The largest residual/limit of all fields in each coupling iteration.
-fn convergence(history: &History) -> Result<Figure, ResultsError> {
-    let records = &history.records;
-    let step = records.len().div_ceil(CURVES);
+fn convergence(history: &History, failure: Option<&Failure>) -> Result<Option<Figure>, ResultsError> {
     // The last one is among them.
-    let drawn: Vec<&StepRecord> = records.iter().skip((records.len() - 1) % step).step_by(step).collect();
-    let points = |iterations: &[crate::IterationRecord]| -> Vec<(f64, f64)> {
+    let mut drawn: Vec<&StepRecord> =
+        history.records.iter().rev().step_by(history.records.len().div_ceil(CURVES).max(1)).collect();
+    drawn.reverse();
+    let points = |attempt: &Attempt| -> Vec<(f64, f64)> {
         // The logarithm of a residual that vanishes is not finite: the curve ends there.
-        (1..).zip(iterations).map(|(i, iteration)| (f64::from(i), iteration.ratio().log10())).collect()
+        (1..).zip(&attempt.iterations).map(|(i, iteration)| (f64::from(i), iteration.ratio().log10())).collect()
     };
+    let plain = |color, points| Curve { label: None, color, dashed: false, circles: false, points };
     let mut curves = Vec::new();
     for (i, record) in drawn.iter().enumerate() {
-        let (last, failed) = record.attempts.split_last().map_or((None, &[][..]), |(l, f)| (Some(l), f));
-        for attempt in failed {
-            curves.push(Curve {
-                label: None,
-                color: ORANGE,
-                dashed: true,
-                circles: false,
-                points: points(&attempt.iterations),
-            });
-        }
+        let label = match i {
+            0 => Some(format!("time step {}", record.number)),
+            _ if i + 1 == drawn.len() || i == drawn.len() / 2 => Some(record.number.to_string()),
+            _ => None,
+        };
         let color = ramp(i as f64 / (drawn.len() - 1).max(1) as f64);
-        let named = i == 0 || i + 1 == drawn.len() || i == drawn.len() / 2;
-        let label = named.then(|| format!("time step {}", record.number));
-        let points = last.map_or_else(Vec::new, |a| points(&a.iterations));
-        curves.push(Curve { label, color, dashed: false, circles: drawn.len() <= 30, points });
+        let accepted = record.attempts.last().map_or_else(Vec::new, points);
+        curves.push(Curve { label, circles: drawn.len() <= 30, ..plain(color, accepted) });
     }
-    if let Some(failed) = curves.iter_mut().find(|c| c.dashed) {
-        failed.label = Some("failed attempts".into());
+    let before = drawn.iter().flat_map(|record| &record.attempts);
+    let failed =
+        before.chain(failure.iter().flat_map(|f| &f.attempts)).filter(|a| a.outcome != AttemptOutcome::Converged);
+    for (i, attempt) in failed.enumerate() {
+        let label = (i == 0).then(|| "failed".into());
+        curves.push(Curve { label, dashed: true, ..plain(ORANGE, points(attempt)) });
     }
-    let (low, high) = extent(curves.iter().flat_map(|c| c.points.iter().map(|p| p.1))).unwrap_or((-1.0, 0.0));
-    let most = curves.iter().map(|c| c.points.len()).max().unwrap_or(1) as f64;
-    let x = Axis::counts("coupling iteration", 0.8, most.max(2.0));
+    let Some((low, high)) = extent(curves.iter().flat_map(|c| c.points.iter().map(|p| p.1))) else { return Ok(None) };
+    let most = curves.iter().map(|c| c.points.len()).max().unwrap_or(0).max(2) as f64;
+    let limit = plain(INK, vec![(0.8, 0.0), (most, 0.0)]);
+    curves.insert(0, Curve { label: Some("limit".into()), dashed: true, ..limit });
+    let x = Axis::counts("coupling iteration", 0.8, most);
     let y = Axis::powers("largest residual/limit", low.min(-1.0) - 0.2, high.max(0.0) + 0.3);
-    curves.insert(
-        0,
-        Curve {
-            label: Some("limit".into()),
-            color: GREEN,
-            dashed: true,
-            circles: false,
-            points: vec![(0.8, 0.0), (most.max(2.0), 0.0)],
-        },
-    );
     let svg = chart::curves("Convergence of the coupling", &x, &y, &curves)?;
-    let caption = "The largest residual of all coupled fields, as a part of what it must not exceed, in each coupling iteration; \
-                   one curve for each time step.";
-    Ok(Figure { name: "coupling-convergence".into(), caption: caption.into(), svg })
+    let caption = "The largest residual of all coupled fields, as a part of what it must not exceed, in each coupling \
+                   iteration; one curve for each time step.";
+    Ok(Some(Figure { name: "coupling-convergence".into(), caption: caption.into(), svg }))
 }
 
 /// Segments put one behind the other, with the vertices at which each begins and ends: lines from end or branch to end or

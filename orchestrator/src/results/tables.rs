@@ -38,6 +38,13 @@ impl Tables {
         Ok(Self { files })
     }
 
+    /// Says where the tables are after their folder was moved.
+    pub(crate) fn moved_to(&mut self, folder: &Path) {
+        for ((path, _), name) in self.files.iter_mut().zip(NAMES) {
+            *path = folder.join(name).with_extension("csv");
+        }
+    }
+
     pub(crate) fn append(&mut self, rows: &[String; 4]) -> Result<(), ResultsError> {
         for ((path, file), rows) in self.files.iter_mut().zip(rows) {
             file.write_all(rows.as_bytes()).map_err(ResultsError::io(path))?;
