@@ -1,7 +1,7 @@
 //! Flow as an FMI 3.0 co-simulation unit.
 //!
 //! Resources: `model.toml`, the description of the case, and `mesh.h5`, its mesh. A `fmi3DoStep` is one time step of
-//! implicit Euler. One that closes a fracture, whose wells do not settle, or whose equations cannot be solved, is
+//! implicit Euler. One that is given an aperture which is not positive, that closes a fracture, whose wells do not settle, or whose equations cannot be solved, is
 //! discarded. The state of the unit is that of the flow at the present time, with the inputs and parameters that the
 //! host has set.
 //!
@@ -271,7 +271,8 @@ fn add_fields(t: &mut Table<FlowUnit>, start: &Inputs) {
         "fracture.aperture",
         &start.aperture,
         |u, v| write(v, &u.settings.inputs.aperture),
-        |u, v| Allowed::Positive.read(v, &mut u.settings.inputs.aperture),
+        // An iterate of the host may be below zero; the time step is then discarded.
+        |u, v| Allowed::Finite.read(v, &mut u.settings.inputs.aperture),
     );
     t.input(
         "matrix.porosity_compliance",
@@ -470,6 +471,10 @@ impl Unit for FlowUnit {
     }
 
     fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError> {
+        if let Some((face, aperture)) = self.settings.inputs.aperture.iter().enumerate().find(|a| *a.1 <= 0.0) {
+            let reason = format!("the aperture of fracture face {face} is {aperture:e} m; it must be above 0");
+            return Ok(StepOutcome::Discarded(reason));
+        }
         match self.flow.step_to(time + step, step, &self.settings.inputs) {
             Ok(mut report) => {
                 let made = report.work;

@@ -25,6 +25,7 @@ mod error;
 pub mod fmi;
 mod interface;
 mod record;
+pub mod results;
 mod run;
 mod time;
 mod unit;

@@ -17,6 +17,10 @@ pub type Fields = Vec<Vec<f64>>;
 
 /// A residual that has grown by this factor over the least of its time step will not come back.
 const DIVERGED: f64 = 1e8;
+/// Factors on the sensitivities with which a pass is tried where the unit that goes first refuses: from a guess that is
+/// far off, what it believes of its partner leads too far, as to apertures below zero. Sensitivities have no part in the
+/// solution, and a smaller time step would be another solution.
+const TRUST: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
 /// Entries that the report of a failure names for each field.
 const REPORTED: usize = 5;
 
@@ -181,6 +185,18 @@ impl Run {
     /// [`CouplingError::Failed`] with a report where no allowed time step can be done; [`CouplingError::Unit`] where a
     /// unit fails for good; [`CouplingError::Length`].
     pub fn advance(&mut self) -> Result<StepRecord, CouplingError> {
+        self.advance_watched(&mut |_, _, _| {})
+    }
+
+    /// As [`advance`](Self::advance). `watch` is told of each coupling iteration: the end of the time step (s), its
+    /// number from 1, and its record.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn advance_watched(
+        &mut self,
+        watch: &mut dyn FnMut(f64, usize, &IterationRecord),
+    ) -> Result<StepRecord, CouplingError> {
         let can_roll_back = self.units.iter().all(|unit| unit.can_roll_back());
         if can_roll_back {
             self.each_unit(|unit| unit.save())?;
@@ -194,7 +210,7 @@ impl Run {
         loop {
             let end = self.control.next(self.state.time, pace);
             let step = end - self.state.time;
-            let (attempt, fields, residual) = self.attempt(end)?;
+            let (attempt, fields, residual) = self.attempt(end, watch)?;
             let outcome = attempt.outcome.clone();
             attempts.push(attempt);
             if outcome == AttemptOutcome::Converged {
@@ -234,7 +250,11 @@ impl Run {
     }
 
     /// Attempts to reach `end`: what happened, the fields, and their last residual.
-    fn attempt(&mut self, end: f64) -> Result<(Attempt, Fields, Fields), CouplingError> {
+    fn attempt(
+        &mut self,
+        end: f64,
+        watch: &mut dyn FnMut(f64, usize, &IterationRecord),
+    ) -> Result<(Attempt, Fields, Fields), CouplingError> {
         let coupling = &self.settings.coupling;
         let (loose, acceleration) = (coupling.loose, coupling.acceleration);
         let max_iterations = if loose { 1 } else { coupling.max_iterations };
@@ -251,7 +271,8 @@ impl Run {
             if iteration > 1 {
                 self.each_unit(|unit| unit.restore())?;
             }
-            let (fields, mut record) = match self.pass(&x, step)? {
+            let (pass, trust) = self.careful_pass(&x, step, plain.is_none())?;
+            let (fields, mut record) = match pass {
                 Pass::Done { fields, record } => (fields, record),
                 Pass::Discarded { unit, reason } => {
                     if let Some(fields) = plain.take() {
@@ -267,6 +288,7 @@ impl Run {
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             record.residuals = self.residuals(&residual);
             let (converged, ratio) = (record.residuals.iter().all(FieldResidual::holds), record.ratio());
+            watch(end, iteration, &record);
             attempt.iterations.push(record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
@@ -280,6 +302,12 @@ impl Run {
             if let Some(outcome) = outcome {
                 attempt.outcome = outcome;
                 return Ok((attempt, fields, residual));
+            }
+            if trust < 1.0 {
+                // A pass with other sensitivities says nothing about those to come.
+                self.state.accelerator.begin();
+                (plain, x) = (None, fields);
+                continue;
             }
             // Fields that are not accelerated are only compared.
             let weights = self.weights(&accelerated, &fields);
@@ -329,14 +357,31 @@ impl Run {
         list
     }
 
+    /// A pass, with as much of the sensitivities as it takes; gives that part too.
+    fn careful_pass(&mut self, x: &Fields, step: f64, is_plain: bool) -> Result<(Pass, f64), CouplingError> {
+        let scheme = self.settings.scheme;
+        let can_try = is_plain && scheme.connected[1 - scheme.first];
+        let mut trust = TRUST.into_iter();
+        let mut now = 1.0;
+        loop {
+            let pass = self.pass(x, step, now)?;
+            // The unit that goes second has not been asked yet: both are as before.
+            let is_refused = matches!(&pass, Pass::Discarded { unit, .. } if *unit == scheme.first);
+            match trust.next().filter(|_| is_refused && can_try) {
+                Some(less) => now = less,
+                None => return Ok((pass, now)),
+            }
+        }
+    }
+
     /// Lets both units do the time step, each from the state it is in.
-    fn pass(&mut self, x: &Fields, step: f64) -> Result<Pass, CouplingError> {
+    fn pass(&mut self, x: &Fields, step: f64, trust: f64) -> Result<Pass, CouplingError> {
         let mut fields = x.clone();
         let mut record = IterationRecord { residuals: Vec::new(), seconds: [0.0; 2], newton: [None; 2] };
         let first = self.settings.scheme.first;
         for unit in [first, 1 - first] {
             let clock = Instant::now();
-            self.set_inputs(unit, &fields, x)?;
+            self.set_inputs(unit, &fields, x, trust)?;
             let time = self.state.time;
             let outcome = self.call(unit, |u| u.step(time, step))?;
             if let StepOutcome::Discarded { reason } = outcome {
@@ -353,8 +398,14 @@ impl Run {
     }
 
     /// Gives a unit its partner's `fields`, with sensitivities around `reference`, its own fields at which its partner
-    /// was evaluated.
-    fn set_inputs(&mut self, unit: usize, fields: &Fields, reference: &Fields) -> Result<(), CouplingError> {
+    /// was evaluated. `trust` is a factor on the sensitivities.
+    fn set_inputs(
+        &mut self,
+        unit: usize,
+        fields: &Fields,
+        reference: &Fields,
+        trust: f64,
+    ) -> Result<(), CouplingError> {
         let partner = 1 - unit;
         for f in self.interface.given_by(partner).collect::<Vec<_>>() {
             let field = self.interface.fields[f].clone();
@@ -364,7 +415,12 @@ impl Run {
             {
                 let own = format!("{}_reference", self.interface.fields[sensitivity.partner].name);
                 let values = std::mem::take(&mut self.state.sensitivities[f]);
-                self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
+                if trust == 1.0 {
+                    self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
+                } else {
+                    let reduced: Vec<f64> = values.iter().map(|v| trust * v).collect();
+                    self.call(unit, |u| u.set(&sensitivity.variable, &reduced))?;
+                }
                 self.state.sensitivities[f] = values;
                 self.call(unit, |u| u.set(&own, &reference[sensitivity.partner]))?;
             }

@@ -1,0 +1,124 @@
+//! A model as the command line names it.
+
+use std::path::{Path, PathBuf};
+
+use mesh::Mesh;
+use model::Document;
+
+use super::error::CliError;
+
+/// A model with its variants and changes.
+pub(crate) struct Case {
+    /// Name of its folder.
+    pub(crate) name: String,
+    pub(crate) folder: PathBuf,
+    pub(crate) document: Document,
+    pub(crate) variants: Vec<String>,
+    /// Pieces of TOML.
+    pub(crate) changes: Vec<String>,
+}
+
+impl Case {
+    /// Reads a model: `path` is a folder with a `model.toml`, or that file, or the name of a folder in `models`.
+    pub(crate) fn load(path: &Path, variants: &[String], changes: &[String]) -> Result<Self, CliError> {
+        let folder = find(path)?;
+        let changes: Vec<String> = changes.iter().map(|change| quoted(change)).collect();
+        let document = Document::load(&folder, &as_strs(variants), &as_strs(&changes))?;
+        let name = folder.canonicalize().unwrap_or_else(|_| folder.clone());
+        let name = name.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy().into_owned());
+        Ok(Self { name, folder, document, variants: variants.to_vec(), changes })
+    }
+
+    pub(crate) fn mesh(&self) -> Result<Mesh, CliError> {
+        let read = |path: &Path| {
+            let is_hdf5 = path.extension().is_some_and(|e| e == "h5");
+            let data = if is_hdf5 { mesh_io::read_hdf5(path) } else { mesh_io::read_gmsh(path) };
+            data.map_err(|error| error.to_string())
+        };
+        Ok(self.document.mesh(&self.folder, &read)?)
+    }
+
+    /// The units that the model has.
+    pub(crate) fn units(&self) -> impl Iterator<Item = &'static str> {
+        let model = &self.document.model;
+        let units = [("mechanics", model.mechanics.is_some()), ("flow", model.flow.is_some())];
+        units.into_iter().filter(|unit| unit.1).map(|unit| unit.0)
+    }
+
+    /// Fails where there are no two units to couple.
+    pub(crate) fn check_coupled(&self) -> Result<(), CliError> {
+        match self.units().collect::<Vec<_>>()[..] {
+            [_, _] => Ok(()),
+            [one] => {
+                let reason =
+                    format!("{} has {one} only, nothing to couple it with; `pack` makes an FMU of it", self.name);
+                Err(CliError::Unfit(reason))
+            }
+            _ => Err(CliError::Unfit(format!("{} has neither [mechanics] nor [flow]", self.name))),
+        }
+    }
+
+    /// A few lines for people.
+    pub(crate) fn describe(&self, mesh: &Mesh) -> String {
+        let network = mesh.network();
+        let fractures = mesh.data().fractures.len();
+        let units: Vec<_> = self.units().collect();
+        format!(
+            "{}\n{}D, {} cells, {} faces, {} vertices; {fractures} fracture{}, {} fracture faces\nunits: {}",
+            self.document.model.title,
+            mesh.dim(),
+            mesh.cell_count(),
+            mesh.face_count(),
+            mesh.vertices().len(),
+            if fractures == 1 { "" } else { "s" },
+            network.face_count(),
+            if units.is_empty() { "none".to_owned() } else { units.join(", ") },
+        )
+    }
+}
+
+pub(crate) fn as_strs(list: &[String]) -> Vec<&str> {
+    list.iter().map(String::as_str).collect()
+}
+
+fn find(path: &Path) -> Result<PathBuf, CliError> {
+    const FILE: &str = "model.toml";
+    if path.is_file() && path.file_name().is_some_and(|name| name == FILE) {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+        return Ok(folder.unwrap_or(Path::new(".")).to_owned());
+    }
+    let folders = [path.to_owned(), Path::new("models").join(path)];
+    if let Some(folder) = folders.iter().find(|folder| folder.join(FILE).is_file()) {
+        return Ok(folder.clone());
+    }
+    let looked = folders.iter().map(|folder| folder.join(FILE)).collect();
+    Err(CliError::NoModel { name: path.display().to_string(), looked })
+}
+
+/// A change with its value in quotes where it is a bare word, which shells take the quotes from.
+fn quoted(change: &str) -> String {
+    let is_word = |text: &str| {
+        text.starts_with(|c: char| c.is_alphabetic()) && text.chars().all(|c| c.is_alphanumeric() || "_-.".contains(c))
+    };
+    match change.split_once('=') {
+        Some((key, value)) if is_word(value.trim()) && change.parse::<toml::Table>().is_err() => {
+            format!("{key}=\"{}\"", value.trim())
+        }
+        _ => change.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::quoted;
+
+    #[test]
+    fn bare_words_get_quotes() {
+        assert_eq!(quoted("coupling.split=drained"), "coupling.split=\"drained\"");
+        for change in
+            ["time.step=50", "a=true", "a=nan", "a='b'", "coupling.acceleration.iqn_ils={}", "a=", "a", "a=b c"]
+        {
+            assert_eq!(quoted(change), change);
+        }
+    }
+}

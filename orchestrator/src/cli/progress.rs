@@ -1,0 +1,106 @@
+//! What a run says while it goes.
+
+use std::io::{self, Write};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use orchestrator::{IterationRecord, StepRecord};
+use serde_json::json;
+
+use super::error::CliError;
+
+/// How a run speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Voice {
+    /// A progress bar on standard error, a summary on standard output.
+    Bar,
+    /// A line for each time step on standard output, and a summary.
+    Lines,
+    /// The same as JSON.
+    Json,
+    /// Not at all.
+    Quiet,
+}
+
+/// Length of the bar: parts of the simulated time.
+const PARTS: u64 = 10_000;
+
+pub(crate) struct Progress {
+    voice: Voice,
+    times: [f64; 2],
+    bar: ProgressBar,
+    number: usize,
+}
+
+impl Progress {
+    /// From the present `time` to the `end` (s); `number` time steps are done.
+    pub(crate) fn new(voice: Voice, time: f64, end: f64, number: usize) -> Self {
+        let bar = if voice == Voice::Bar { ProgressBar::new(PARTS) } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg}  {eta} left") {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        Self { voice, times: [time, end], bar, number }
+    }
+
+    /// After a coupling iteration of the time step that ends at `end` (s).
+    pub(crate) fn iteration(&self, end: f64, iteration: usize, record: &IterationRecord) {
+        if self.voice == Voice::Bar {
+            let number = self.number + 1;
+            let ratio = record.ratio();
+            self.bar.set_message(format!(
+                "time step {number} to {end} s, coupling iteration {iteration} (residual/limit {ratio:.1e})"
+            ));
+        }
+    }
+
+    /// After a time step.
+    pub(crate) fn step(&mut self, record: &StepRecord) -> Result<(), CliError> {
+        self.number = record.number;
+        let [start, end] = self.times;
+        self.bar.set_position(((record.time - start) / (end - start) * PARTS as f64) as u64);
+        let iterations = record.iterations();
+        let seconds = seconds(record);
+        let step = record.attempts.last().map_or(0.0, |a| a.step);
+        let line = match self.voice {
+            Voice::Lines => format!(
+                "time step {}: t = {} s, step {step} s, {} coupling iterations, {} attempt{}, {:.2} s",
+                record.number,
+                record.time,
+                iterations.len(),
+                record.attempts.len(),
+                if record.attempts.len() == 1 { "" } else { "s" },
+                seconds[0] + seconds[1],
+            ),
+            Voice::Json => json!({
+                "number": record.number,
+                "time": record.time,
+                "step": step,
+                "attempts": record.attempts.len(),
+                "iterations": iterations.len(),
+                "residual_ratio": iterations.last().map(IterationRecord::ratio),
+                "newton_iterations": newton(record),
+                "seconds": { "flow": seconds[0], "mechanics": seconds[1] },
+            })
+            .to_string(),
+            Voice::Bar | Voice::Quiet => return Ok(()),
+        };
+        writeln!(io::stdout(), "{line}").map_err(CliError::Output)
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// Wall seconds in each unit, over all attempts.
+pub(crate) fn seconds(record: &StepRecord) -> [f64; 2] {
+    let iterations = record.attempts.iter().flat_map(|a| &a.iterations);
+    iterations.fold([0.0; 2], |[a, b], i| [a + i.seconds[0], b + i.seconds[1]])
+}
+
+/// Newton iterations of both units, over all attempts.
+pub(crate) fn newton(record: &StepRecord) -> u64 {
+    record.attempts.iter().flat_map(|a| &a.iterations).flat_map(|i| i.newton).flatten().sum()
+}

@@ -1,0 +1,296 @@
+//! Runs a model, and goes on with a run that was stopped.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use mesh::Mesh;
+use model::Document;
+use orchestrator::fmi::{self, Fmu};
+use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
+use orchestrator::{Checkpoint, CouplingError, FLOW, Interface, MECHANICS, Run, Settings, StepRecord, Unit};
+use serde_json::json;
+
+use super::case::{Case, as_strs};
+use super::error::CliError;
+use super::pack;
+use super::places::places;
+use super::progress::{Progress, Voice, newton, seconds};
+use super::series::Series;
+
+/// Names of the units, in the order of their numbers.
+const NAMES: [&str; 2] = {
+    let mut names = [""; 2];
+    (names[FLOW], names[MECHANICS]) = ("flow", "mechanics");
+    names
+};
+/// Where the results keep the units that they came from.
+const UNITS: &str = "units";
+
+/// Wall seconds of the parts of a run, by name.
+type Seconds = Vec<(String, f64)>;
+
+/// Two units at the start, and what is to be read from them.
+pub(crate) struct Started {
+    units: [Box<dyn Unit>; 2],
+    pub(crate) interface: Interface,
+    pub(crate) series: Series,
+    versions: [UnitVersion; 2],
+}
+
+/// Packs the units of a model that are not given; the files go into `folder`.
+pub(crate) fn fmus(
+    document: &Document,
+    mesh: &Mesh,
+    given: [Option<PathBuf>; 2],
+    folder: &Path,
+) -> Result<[PathBuf; 2], CliError> {
+    let own = NAMES.map(|name| folder.join(name).with_extension("fmu"));
+    let list: Vec<(&str, PathBuf)> =
+        (0..2).filter(|&i| given[i].is_none()).map(|i| (NAMES[i], own[i].clone())).collect();
+    pack::pack(document, mesh, &list)?;
+    let [a, b] = given;
+    let [own_a, own_b] = own;
+    Ok([a.unwrap_or(own_a), b.unwrap_or(own_b)])
+}
+
+/// Loads and initialises two units.
+pub(crate) fn start(paths: &[PathBuf; 2], document: &Document, mesh: &Mesh) -> Result<Started, CliError> {
+    let model = &document.model;
+    let fmus = [Fmu::open(&paths[0])?, Fmu::open(&paths[1])?];
+    let mut units = [fmus[0].instantiate(NAMES[0])?, fmus[1].instantiate(NAMES[1])?];
+    fmi::start(&mut units, model)?;
+    let units = units.map(|unit| Box::new(unit) as Box<dyn Unit>);
+    let interface = Interface::poroelastic().with_criteria(&model.coupling.criteria).fitted(&units)?;
+    let descriptions = [(NAMES[0], fmus[0].description()), (NAMES[1], fmus[1].description())];
+    let times = model.output.times.iter().map(|t| t.0).collect();
+    let series = Series::new(descriptions, &interface, mesh, times);
+    let versions = descriptions.map(|(name, description)| UnitVersion {
+        name: name.to_owned(),
+        version: format!("{}, token {}", description.model_name, description.token),
+    });
+    Ok(Started { units, interface, series, versions })
+}
+
+impl Started {
+    /// The run from its start.
+    pub(crate) fn run(self, document: &Document) -> Result<(Run, Series), CliError> {
+        Ok((Run::new(self.units, self.interface, Settings::of(&document.model))?, self.series))
+    }
+}
+
+/// `orchestrator run`. `given` are FMUs in place of flow and mechanics.
+pub(crate) fn run(
+    case: &Case,
+    output: &Path,
+    overwrite: bool,
+    given: [Option<PathBuf>; 2],
+    voice: Voice,
+) -> Result<(), CliError> {
+    if given.iter().any(Option::is_none) {
+        case.check_coupled()?;
+    }
+    // What would be found out at the end of the packing anyway.
+    if !overwrite && std::fs::read_dir(output).is_ok_and(|mut list| list.next().is_some()) {
+        return Err(ResultsError::Exists(output.to_owned()).into());
+    }
+    let mut parts = Seconds::new();
+    let mesh = timed(&mut parts, "mesh", || case.mesh())?;
+    say(voice, &case.describe(&mesh))?;
+    let temporary = pack::temporary("fmus-")?;
+    let paths = timed(&mut parts, "packing", || fmus(&case.document, &mesh, given, temporary.path()))?;
+    let mut started = timed(&mut parts, "start of the units", || start(&paths, &case.document, &mesh))?;
+    let (variants, changes) = (as_strs(&case.variants), as_strs(&case.changes));
+    let versions = started.versions.clone();
+    let manifest = Manifest::new(&case.name, &case.document, &variants, &changes, &mesh, &started.interface, versions);
+    let snapshot = started.series.snapshot(case.document.model.time.start.0, &mut started.units)?;
+    let mut folder = Folder::create(output, &manifest, mesh, &snapshot, overwrite)?;
+    keep(&paths, folder.path())?;
+    drop(temporary);
+    let (run, series) = started.run(&case.document)?;
+    drive(run, &series, &mut folder, voice, parts)
+}
+
+/// `orchestrator resume`.
+pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
+    let checkpoint = Folder::read_checkpoint(path)?.map(|bytes| Checkpoint::from_bytes(&bytes)).transpose()?;
+    let mut parts = Seconds::new();
+    let number = checkpoint.as_ref().map_or(0, Checkpoint::number);
+    let mut folder = timed(&mut parts, "reading", || Folder::reopen(path, Some(number)).map_err(CliError::from))?;
+    let document = Document::read("manifest.json", &folder.manifest().model.toml, &[], &[])?;
+    say(voice, &format!("{}: on from time step {number}", document.model.title))?;
+    let temporary = pack::temporary("fmus-")?;
+    let paths = timed(&mut parts, "packing", || kept(&folder, &document, temporary.path()))?;
+    let started = timed(&mut parts, "start of the units", || start(&paths, &document, folder.mesh()))?;
+    let (run, series) = match &checkpoint {
+        Some(checkpoint) => {
+            let Started { units, interface, series, .. } = started;
+            (Run::resume(units, interface, Settings::of(&document.model), checkpoint)?, series)
+        }
+        None => started.run(&document)?,
+    };
+    drive(run, &series, &mut folder, voice, parts)
+}
+
+/// Copies the units into the results, so that they can be gone on with even where other ones lie beside the program.
+fn keep(paths: &[PathBuf; 2], folder: &Path) -> Result<(), CliError> {
+    let units = folder.join(UNITS);
+    match std::fs::remove_dir_all(&units) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(CliError::file(&units)(error)),
+        _ => {}
+    }
+    // The folder appears when both are in it.
+    let part = folder.join(format!("{UNITS}.part"));
+    std::fs::create_dir_all(&part).map_err(CliError::file(&part))?;
+    for (path, name) in paths.iter().zip(NAMES) {
+        std::fs::copy(path, part.join(name).with_extension("fmu")).map_err(CliError::file(path))?;
+    }
+    std::fs::rename(&part, &units).map_err(CliError::file(&units))
+}
+
+/// The units in the results. Where a run was killed before they were there, they are packed again.
+fn kept(folder: &Folder, document: &Document, temporary: &Path) -> Result<[PathBuf; 2], CliError> {
+    let units = folder.path().join(UNITS);
+    if units.is_dir() {
+        return Ok(NAMES.map(|name| units.join(name).with_extension("fmu")));
+    }
+    let manifest = folder.manifest();
+    if manifest.command.iter().any(|word| NAMES.iter().any(|name| word.starts_with(&format!("--{name}")))) {
+        let reason = format!("{} has lost its units, which are not those of the model", folder.path().display());
+        return Err(CliError::Unfit(reason));
+    }
+    fmus(document, folder.mesh(), [None, None], temporary)
+}
+
+fn timed<T>(parts: &mut Seconds, name: &str, act: impl FnOnce() -> Result<T, CliError>) -> Result<T, CliError> {
+    let clock = Instant::now();
+    let result = act();
+    parts.push((name.to_owned(), clock.elapsed().as_secs_f64()));
+    result
+}
+
+fn say(voice: Voice, text: &str) -> Result<(), CliError> {
+    match voice {
+        Voice::Bar | Voice::Lines => writeln!(io::stdout(), "{text}").map_err(CliError::Output),
+        Voice::Json | Voice::Quiet => Ok(()),
+    }
+}
+
+/// Takes a run to its end.
+fn drive(mut run: Run, series: &Series, folder: &mut Folder, voice: Voice, mut parts: Seconds) -> Result<(), CliError> {
+    let model = &folder.manifest().model.toml;
+    let end = Document::read("manifest.json", model, &[], &[])?.model.time.end.0;
+    let mut totals = Totals { first: folder.last(), ..Totals::default() };
+    let mut progress = Progress::new(voice, run.time(), end, folder.last());
+    let clock = Instant::now();
+    let (before, mut checkpoints) = (folder.seconds(), 0.0);
+    let mut failure = None;
+    while !run.is_finished() {
+        match run.advance_watched(&mut |end, iteration, record| progress.iteration(end, iteration, record)) {
+            Ok(record) => {
+                let snapshot: Snapshot = series.of(&mut run)?;
+                folder.append(&record, &snapshot)?;
+                let clock = Instant::now();
+                folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
+                checkpoints += clock.elapsed().as_secs_f64();
+                totals.add(&record);
+                progress.step(&record)?;
+            }
+            Err(CouplingError::Failed(report)) => {
+                failure = Some(report);
+                break;
+            }
+            Err(error) => {
+                progress.finish();
+                let left = format!("\nwhat was done is in {}; `orchestrator resume` goes on", folder.path().display());
+                return Err(CliError::Coupling { error, places: String::new(), left });
+            }
+        }
+    }
+    progress.finish();
+    let inside: f64 = totals.seconds.iter().sum();
+    let results = folder.seconds() - before;
+    let other = (clock.elapsed().as_secs_f64() - inside - results).max(0.0);
+    parts.push(("coupling".into(), other));
+    let summary = Summary { failure: failure.as_deref().cloned(), seconds: parts.clone() };
+    let page = folder.finish(&summary)?;
+    if let Some(report) = failure {
+        let places = places(&report, folder.mesh());
+        let left = format!("\nresults up to t = {} s are in {}", report.time, folder.path().display());
+        return Err(CliError::Coupling { error: CouplingError::Failed(report), places, left });
+    }
+    parts.extend([
+        ("flow".into(), totals.seconds[FLOW]),
+        ("mechanics".into(), totals.seconds[MECHANICS]),
+        ("results".into(), folder.seconds()),
+        ("of which checkpoints".into(), checkpoints),
+    ]);
+    match voice {
+        Voice::Quiet => Ok(()),
+        Voice::Json => {
+            let seconds: serde_json::Map<_, _> = parts.into_iter().map(|(name, s)| (name, json!(s))).collect();
+            let line = json!({ "summary": {
+                "time_steps": totals.steps,
+                "coupling_iterations": totals.iterations,
+                "largest_coupling_iterations": totals.largest,
+                "newton_iterations": totals.newton,
+                "seconds": seconds,
+                "peak_memory": peak_memory(),
+                "results": folder.path().display().to_string(),
+            }});
+            writeln!(io::stdout(), "{line}").map_err(CliError::Output)
+        }
+        Voice::Bar | Voice::Lines => say(voice, &totals.text(&parts, folder.path(), &page)),
+    }
+}
+
+/// What the time steps of this process took.
+#[derive(Default)]
+struct Totals {
+    /// Time steps done before.
+    first: usize,
+    steps: usize,
+    attempts: usize,
+    iterations: usize,
+    largest: usize,
+    newton: u64,
+    seconds: [f64; 2],
+}
+
+impl Totals {
+    fn add(&mut self, record: &StepRecord) {
+        let iterations = record.iterations().len();
+        self.steps += 1;
+        self.attempts += record.attempts.len();
+        self.iterations += iterations;
+        self.largest = self.largest.max(iterations);
+        self.newton += newton(record);
+        let seconds = seconds(record);
+        self.seconds = [self.seconds[0] + seconds[0], self.seconds[1] + seconds[1]];
+    }
+
+    fn text(&self, parts: &Seconds, folder: &Path, page: &Path) -> String {
+        let from = if self.first > 0 { format!(" after the first {}", self.first) } else { String::new() };
+        let mean = self.iterations as f64 / self.steps.max(1) as f64;
+        let mut text = format!(
+            "{} time steps{from} ({} attempts), coupling iterations {mean:.1} on average, {} at most, {} Newton \
+             iterations\nseconds:",
+            self.steps, self.attempts, self.largest, self.newton
+        );
+        for (i, (name, seconds)) in parts.iter().enumerate() {
+            text += &format!("{} {name} {seconds:.2}", if i == 0 { "" } else { "," });
+        }
+        if let Some(bytes) = peak_memory() {
+            text += &format!("\npeak memory: {:.0} MB", bytes as f64 / 1e6);
+        }
+        text += &format!("\nresults: {} (see {})", folder.display(), page.display());
+        text
+    }
+}
+
+/// Largest resident memory (bytes) of this process, where the system tells.
+fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}

@@ -1,0 +1,88 @@
+//! What is read from the units after a time step.
+
+use mesh::Mesh;
+use orchestrator::fmi::{Causality, Description, VariableType};
+use orchestrator::results::{Array, Scalar, Shape, Snapshot};
+use orchestrator::{CouplingError, Interface, Run, Unit};
+
+/// Outputs that count what an instance did: they are no part of its state, and would not survive a resumed run.
+const WORK: [&str; 1] = ["factorisations"];
+
+/// Which outputs are recorded.
+pub(crate) struct Series {
+    scalars: Vec<Output>,
+    arrays: Vec<(Output, Shape)>,
+    /// Times (s) at which arrays are; empty: at all.
+    times: Vec<f64>,
+}
+
+struct Output {
+    /// Which unit has it.
+    unit: usize,
+    variable: String,
+    /// What it is called in the results.
+    name: String,
+    measure: String,
+}
+
+impl Series {
+    /// All scalar outputs, and all arrays on cells and fracture faces but for the sensitivities.
+    pub(crate) fn new(units: [(&str, &Description); 2], interface: &Interface, mesh: &Mesh, times: Vec<f64>) -> Self {
+        let sensitivities: Vec<&str> =
+            interface.fields.iter().filter_map(|f| f.sensitivity.as_ref()).map(|s| s.variable.as_str()).collect();
+        let mut series = Self { scalars: Vec::new(), arrays: Vec::new(), times };
+        for (unit, (unit_name, description)) in units.into_iter().enumerate() {
+            let partner = units[1 - unit].1;
+            for (variable, v) in &description.variables {
+                let is_number = matches!(v.ty, VariableType::Float64 | VariableType::Int64 | VariableType::UInt64);
+                let left_out = WORK.contains(&variable.as_str()) || sensitivities.contains(&variable.as_str());
+                if v.causality != Causality::Output || !is_number || left_out {
+                    continue;
+                }
+                let is_twice = partner.variables.get(variable).is_some_and(|p| p.causality == Causality::Output);
+                let name = if is_twice { format!("{unit_name}.{variable}") } else { variable.clone() };
+                let measure = v.unit.clone().unwrap_or_else(|| "1".into());
+                let output = Output { unit, variable: variable.clone(), name, measure };
+                let shapes: &[Shape] = match variable.split('.').next() {
+                    Some("matrix") => &[Shape::Cells],
+                    Some("fracture") => &[Shape::FractureFaces, Shape::FractureVectors],
+                    _ => &[],
+                };
+                if let Some(&shape) = shapes.iter().find(|shape| shape.length(mesh) == v.size) {
+                    series.arrays.push((output, shape));
+                } else if v.size == 1 {
+                    series.scalars.push(output);
+                }
+            }
+        }
+        series
+    }
+
+    /// The present state of the units.
+    pub(crate) fn snapshot(&self, time: f64, units: &mut [Box<dyn Unit>; 2]) -> Result<Snapshot, CouplingError> {
+        let mut snapshot = Snapshot { time, scalars: Vec::new(), arrays: Vec::new() };
+        let mut read = |output: &Output| {
+            let mut values = Vec::new();
+            let unit = units[output.unit].as_mut();
+            unit.get(&output.variable, &mut values)
+                .map_err(|error| CouplingError::Unit { unit: unit.name().to_owned(), error })?;
+            Ok::<_, CouplingError>(values)
+        };
+        for output in &self.scalars {
+            let value = read(output)?.first().copied().unwrap_or(f64::NAN);
+            snapshot.scalars.push(Scalar::new(&output.name, &output.measure, value));
+        }
+        if self.times.is_empty() || self.times.contains(&time) {
+            for (output, shape) in &self.arrays {
+                snapshot.arrays.push(Array::new(&output.name, &output.measure, *shape, read(output)?));
+            }
+        }
+        Ok(snapshot)
+    }
+
+    /// The state that a run has got to.
+    pub(crate) fn of(&self, run: &mut Run) -> Result<Snapshot, CouplingError> {
+        let time = run.time();
+        self.snapshot(time, run.units())
+    }
+}
