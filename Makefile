@@ -1,13 +1,19 @@
 # The two commands of the README, and what they need from Debian.
 
+# The orchestrator, and beside it the programs that pack units with the units' libraries.
+PROGRAMS = -p orchestrator -p mechanics-unit -p flow-unit
+
 .PHONY: test run check bench deps
 
+# The tests run the programs.
 test: deps
+	cargo build $(PROGRAMS)
 	cargo test --workspace
 	tests/fmi/run
 
 run: deps
-	cargo run --release -p tests --bin mechanics-study -- single-crack
+	cargo build --release $(PROGRAMS)
+	target/release/orchestrator run models/six-fractures --overwrite
 
 # What CI runs besides the tests.
 check: deps

@@ -1,0 +1,248 @@
+//! The programs, as a user has them: six fractures (C3) through the units' FMUs, kills, wrong input.
+//!
+//! They are built here where they are not yet, beside this test's folder.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, SystemTime};
+
+use tests::six_fractures::{Coupled, triangles};
+
+/// A mesh for tests of all but the numbers.
+const COARSE: [&str; 2] = ["--set", "mesh.triangles={size=0.2, fracture_size=0.1}"];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The orchestrator, with what it needs beside it.
+fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        // TARGET/PROFILE/deps/this
+        let this = std::env::current_exe().unwrap();
+        let folder = this.parent().and_then(Path::parent).unwrap();
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.current_dir(root()).args(["build", "-p", "orchestrator", "-p", "mechanics-unit", "-p", "flow-unit"]);
+        cargo.arg("--target-dir").arg(folder.parent().unwrap());
+        if folder.ends_with("release") {
+            cargo.arg("--release");
+        }
+        let output = cargo.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        folder.join(format!("orchestrator{}", std::env::consts::EXE_SUFFIX))
+    })
+}
+
+fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(program());
+    command.current_dir(root()).args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn call(arguments: &[&str]) -> Output {
+    command(arguments).output().unwrap()
+}
+
+fn succeed(arguments: &[&str]) -> String {
+    let output = call(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Fails with a code; gives what stands on standard error.
+fn fail(arguments: &[&str], code: i32) -> String {
+    let output = call(arguments);
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+    text
+}
+
+/// A scalar of `series.csv` against time (s).
+fn column(folder: &Path, name: &str) -> Vec<(f64, f64)> {
+    let text = fs::read_to_string(folder.join("series.csv")).unwrap();
+    let mut lines = text.lines();
+    let head: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let at = |wanted: &str| head.iter().position(|h| h.split(' ').next() == Some(wanted)).unwrap();
+    let (time, value) = (at("time"), at(name));
+    let number = |line: &str, i: usize| line.split(',').nth(i).unwrap().parse().unwrap();
+    lines.map(|line| (number(line, time), number(line, value))).collect()
+}
+
+const MEANS: [&str; 3] = ["aperture.mean", "fracture_pressure.mean", "matrix_pressure.mean"];
+
+#[test]
+fn six_fractures_agree_with_the_reference_and_with_the_libraries() {
+    /// Coupling ends at residuals of 1e-5 of the ranges in one program, of 10 Pa and 0.1 µm in the other.
+    const COUPLING: f64 = 1e-4;
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    let text = succeed(&["run", "models/six-fractures", "--output", results.to_str().unwrap(), "--json"]);
+    let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 21);
+    let iterations: Vec<u64> = lines[..20].iter().map(|l| l["iterations"].as_u64().unwrap()).collect();
+    assert!(lines[..20].iter().all(|l| l["attempts"] == 1), "{text}");
+    assert!(iterations.iter().all(|&n| n <= 9), "{iterations:?}");
+    assert_eq!(lines[20]["summary"]["time_steps"], 20);
+
+    let table = fs::read_to_string(root().join("models/six-fractures/reference.csv")).unwrap();
+    let mut compared = 0;
+    for row in table.lines().filter_map(|line| line.strip_prefix("default,")) {
+        let row: Vec<f64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
+        for (name, expected) in MEANS.iter().zip(&row[1..]) {
+            let found = column(&results, name).into_iter().find(|(t, _)| *t == row[0]).unwrap().1;
+            assert!((found - expected).abs() <= 0.02 * expected, "{name} at {} s: {found}, {expected}", row[0]);
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 12);
+
+    let mut coupled = Coupled::new(triangles(0.04));
+    let means = MEANS.map(|name| column(&results, name));
+    for step in 1..=20 {
+        let record = coupled.step(100.0, 1.0);
+        for (series, expected) in means.iter().zip(record.means) {
+            let (time, found) = series[step];
+            assert_eq!(time, record.time);
+            assert!((found - expected).abs() <= COUPLING * expected, "at {time} s: {found}, {expected}");
+        }
+    }
+    for file in
+        ["index.html", "run.h5", "manifest.json", "summary.json", "fields/matrix.pvd", "plots/mean-aperture.svg"]
+    {
+        assert!(results.join(file).is_file(), "{file}");
+    }
+}
+
+/// All files whose content does not depend on the clock.
+fn content(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for name in ["series.csv", "attempts.csv", "iterations.csv", "mesh.h5"] {
+        found.insert(name.into(), fs::read(folder.join(name)).unwrap());
+    }
+    for entry in fs::read_dir(folder.join("fields")).unwrap() {
+        let path = entry.unwrap().path();
+        found.insert(path.file_name().unwrap().into(), fs::read(&path).unwrap());
+    }
+    found
+}
+
+#[test]
+fn a_run_that_is_killed_again_and_again_leaves_the_same_bytes() {
+    const KILLS: usize = 6;
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
+    let run = |output: &Path| {
+        let run = ["run", "models/six-fractures", "--quiet", "--overwrite", "--set", "time.step=20", "--output"];
+        command(&[&run[..], &[output.to_str().unwrap()], &COARSE].concat())
+    };
+    // Before the folder is there, there is nothing to go on from.
+    let go_on = || match killed.join("manifest.json").is_file() {
+        true => command(&["resume", killed.to_str().unwrap(), "--quiet"]),
+        false => run(&killed),
+    };
+    let clock = SystemTime::now();
+    let output = run(&whole).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let seconds = clock.elapsed().unwrap().as_secs_f64();
+
+    let mut random = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos() as u64 | 1;
+    let seed = random;
+    let mut reached = Vec::new();
+    for kill in 0..KILLS {
+        let mut child = go_on().spawn().unwrap();
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        // The first kill is late enough that there is something to lose.
+        let part = (random % 1000) as f64 / 1000.0;
+        let wait = if kill == 0 { 0.6 + 0.4 * part } else { 0.4 * part };
+        std::thread::sleep(Duration::from_secs_f64(seconds * wait));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        reached.push(fs::read_to_string(killed.join("series.csv")).map_or(0, |text| text.lines().count()));
+    }
+    println!("seed {seed}: lines of series.csv after the kills {reached:?}");
+    let output = go_on().output().unwrap();
+    assert!(output.status.success(), "seed {seed}: {}", String::from_utf8_lossy(&output.stderr));
+    let (a, b) = (content(&whole), content(&killed));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>(), "seed {seed}");
+    for (name, bytes) in a {
+        assert!(b[&name] == bytes, "seed {seed}: {} differs", name.display());
+    }
+}
+
+#[test]
+fn everything_that_is_wrong_with_a_model_is_said_at_once() {
+    let text =
+        fail(&["check", "models/six-fractures", "--set", "time.stepp=1", "--set", "regions.rock.poisson_ratio=0.7"], 2);
+    assert!(text.contains("2 problems") && text.contains("time.stepp") && text.contains("poisson_ratio"), "{text}");
+    let text = fail(&["run", "models/six-fractures", "--variant", "h0"], 2);
+    assert!(text.contains("h0.01"), "{text}");
+    let text = fail(&["check", "six-fracture"], 2);
+    assert!(text.contains("six-fracture/model.toml") && text.contains("models/six-fracture/model.toml"), "{text}");
+    let text = fail(&["run", "models/single-crack"], 2);
+    assert!(text.contains("mechanics only"), "{text}");
+    assert!(fail(&["resume", "nowhere"], 1).contains("nowhere"));
+}
+
+#[test]
+fn a_model_is_checked_and_summed_up() {
+    let text = succeed(&["check", "six-fractures"]);
+    assert!(text.contains("1240 cells") && text.contains("85 fracture faces") && text.contains("vertices"), "{text}");
+    assert!(succeed(&["schema"]).contains("\"$schema\""));
+    assert!(succeed(&["completions", "bash"]).contains("_orchestrator"));
+    assert!(succeed(&["run", "--help"]).contains("Examples:"));
+}
+
+#[test]
+fn a_program_without_units_says_where_it_looked() {
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("orchestrator");
+    fs::copy(program(), &copy).unwrap();
+    let output = Command::new(&copy).current_dir(root()).args(["pack", "models/six-fractures"]).output().unwrap();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    let place = folder.path().canonicalize().unwrap();
+    for word in [place.to_str().unwrap(), "pack-mechanics", "pack-flow", "mechanics_unit", "flow_unit"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+}
+
+#[test]
+fn units_are_files_that_a_run_can_be_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (own, given) = (path("own"), path("given"));
+    succeed(&[&["pack", "models/six-fractures", "--output", &path("")], &COARSE[..]].concat());
+    succeed(&[&["run", "models/six-fractures", "--quiet", "--output", &own], &COARSE[..]].concat());
+    let (mechanics, flow) = (path("six-fractures-mechanics.fmu"), path("six-fractures-flow.fmu"));
+    let with =
+        ["run", "models/six-fractures", "--quiet", "--output", &given, "--mechanics", &mechanics, "--flow", &flow];
+    succeed(&[&with[..], &COARSE].concat());
+    assert!(content(Path::new(&own)) == content(Path::new(&given)));
+
+    // Results are not overwritten unless that is wanted.
+    let text = fail(&[&with[..], &COARSE].concat(), 1);
+    assert!(text.contains("exists") && text.contains("--overwrite"), "{text}");
+    // Units of another mesh are refused.
+    let text = fail(&[&with[..], &["--overwrite"]].concat(), 1);
+    assert!(text.contains("mesh"), "{text}");
+    assert!(content(Path::new(&own)) == content(Path::new(&given)));
+}
+
+#[test]
+fn a_failure_says_which_field_and_where_and_leaves_the_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    let limits = ["--set", "coupling.max_iterations=3", "--set", "time.minimum=60"];
+    let run = ["run", "models/six-fractures", "--quiet", "--output", results.to_str().unwrap()];
+    let text = fail(&[&run[..], &COARSE, &limits].concat(), 1);
+    for word in ["t = ", "residual/limit", "matrix.pressure: residual", "of fracture", " is at (", "results up to"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    assert!(results.join("index.html").is_file());
+}
