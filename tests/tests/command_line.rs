@@ -246,3 +246,15 @@ fn a_failure_says_which_field_and_where_and_leaves_the_results() {
     }
     assert!(results.join("index.html").is_file());
 }
+
+#[test]
+fn a_refused_guess_does_not_cut_the_time_step() {
+    // Here pressures fall so far from the guess of time steps 4, 6 and 8 that probed compliances close a fracture.
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    let fine = ["--variant", "h0.01", "--set", "time.end=800", "--set", "output.times=[]", "--json"];
+    let run = ["run", "models/six-fractures", "--output", results.to_str().unwrap()];
+    let text = succeed(&[&run[..], &fine].concat());
+    let attempts: Vec<_> = text.lines().filter(|line| line.contains("\"attempts\":1,")).collect();
+    assert_eq!(attempts.len(), 8, "{text}");
+}
