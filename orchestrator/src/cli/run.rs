@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use mesh::Mesh;
 use model::Document;
-use orchestrator::fmi::{self, Fmu};
+use orchestrator::fmi::{self, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
 use orchestrator::{Checkpoint, CouplingError, FLOW, Interface, MECHANICS, Run, Settings, StepRecord, Unit};
 use serde_json::json;
@@ -59,6 +59,9 @@ pub(crate) fn start(paths: &[PathBuf; 2], document: &Document, mesh: &Mesh) -> R
     let model = &document.model;
     let fmus = [Fmu::open(&paths[0])?, Fmu::open(&paths[1])?];
     let mut units = [fmus[0].instantiate(NAMES[0])?, fmus[1].instantiate(NAMES[1])?];
+    for unit in &mut units {
+        check_mesh(unit, mesh)?;
+    }
     fmi::start(&mut units, model)?;
     let units = units.map(|unit| Box::new(unit) as Box<dyn Unit>);
     let interface = Interface::poroelastic().with_criteria(&model.coupling.criteria).fitted(&units)?;
@@ -70,6 +73,21 @@ pub(crate) fn start(paths: &[PathBuf; 2], document: &Document, mesh: &Mesh) -> R
         version: format!("{}, token {}", description.model_name, description.token),
     });
     Ok(Started { units, interface, series, versions })
+}
+
+/// Refuses a unit that says it is on another mesh than the model.
+fn check_mesh(unit: &mut FmuUnit, mesh: &Mesh) -> Result<(), CliError> {
+    const FINGERPRINT: &str = "mesh.fingerprint";
+    if !unit.has(FINGERPRINT) {
+        return Ok(());
+    }
+    let name = unit.name().to_owned();
+    let found = unit.text(FINGERPRINT).map_err(|error| CouplingError::Unit { unit: name.clone(), error })?;
+    let expected = mesh.fingerprint();
+    if found != expected {
+        return Err(CliError::Unfit(format!("{name} is on another mesh than the model: {found} and {expected}")));
+    }
+    Ok(())
 }
 
 impl Started {
