@@ -48,7 +48,11 @@ pub fn write_hdf5(path: impl AsRef<Path>, data: &MeshData) -> Result<(), FileErr
 type Named<T> = Result<T, (String, hdf5_metno::Error)>;
 
 fn write(path: &Path, data: &MeshData) -> Named<()> {
-    let file = named("/", File::with_options().with_fapl(|access| access.libver_v110()).create(path))?;
+    // Without times, so that the same mesh gives the same bytes.
+    let mut options = File::with_options();
+    options.with_fapl(|access| access.libver_v110()).with_fcpl(|file| file.obj_track_times(false));
+    let file = named("/", options.create(path))?;
+    let group = |name: &str| named(name, file.create_group_builder().obj_track_times(false).create(name));
     let attribute = |name: &str, value: u32| {
         named(name, file.new_attr::<u32>().create(name).and_then(|attribute| attribute.write_scalar(&value)))
     };
@@ -58,12 +62,12 @@ fn write(path: &Path, data: &MeshData) -> Named<()> {
     put(&file, "vertices", &coordinates, Some(3))?;
     let numbers = |list: &[usize]| list.iter().map(|&i| i as i64).collect::<Vec<_>>();
     let optional = |list: &[Option<usize>]| list.iter().map(|i| i.map_or(-1, |i| i as i64)).collect::<Vec<_>>();
-    let faces = named("faces", file.create_group("faces"))?;
+    let faces = group("faces")?;
     put(&faces, "offsets", &numbers(data.faces.offsets()), None)?;
     put(&faces, "vertices", &numbers(data.faces.items()), None)?;
     put(&faces, "tag", &optional(&data.face_tag), None)?;
     put(&faces, "fracture", &optional(&data.face_fracture), None)?;
-    let cells = named("cells", file.create_group("cells"))?;
+    let cells = group("cells")?;
     put(&cells, "offsets", &numbers(data.cells.offsets()), None)?;
     put(&cells, "faces", &numbers(data.cells.items()), None)?;
     put(&cells, "region", &numbers(&data.cell_region), None)?;
@@ -81,7 +85,7 @@ fn named<T>(entry: &str, result: Hdf5Result<T>) -> Named<T> {
 /// Writes values as one dataset, in rows of `columns` where that is given.
 fn put<T: H5Type>(group: &Group, name: &str, values: &[T], columns: Option<usize>) -> Named<()> {
     let make = || -> Hdf5Result<()> {
-        let builder = group.new_dataset::<T>();
+        let builder = group.new_dataset::<T>().obj_track_times(false);
         let rows = values.len() / columns.unwrap_or(1);
         let chunk = rows.clamp(1, CHUNK);
         let dataset = match columns {

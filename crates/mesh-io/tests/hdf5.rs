@@ -25,6 +25,22 @@ fn every_mesh_comes_back_as_it_was() {
     assert_eq!(read_hdf5(&path).unwrap(), empty);
 }
 
+/// FMUs are compared by their bytes.
+#[test]
+fn the_same_mesh_gives_the_same_bytes_at_another_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = specimen("squares with a T");
+    let bytes = |name: &str| {
+        let path = folder.path().join(name);
+        write_hdf5(&path, &data).unwrap();
+        std::fs::read(path).unwrap()
+    };
+    let first = bytes("first.h5");
+    // HDF5 counts seconds.
+    std::thread::sleep(std::time::Duration::from_millis(1100));
+    assert_eq!(first, bytes("second.h5"));
+}
+
 #[test]
 fn what_cannot_be_written_leaves_the_old_file() {
     let folder = tempfile::tempdir().unwrap();
