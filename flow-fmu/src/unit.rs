@@ -8,7 +8,6 @@
 //! At the start the pressure is p⁰ of the model; porosity change and aperture are the inputs, unless the host sets them
 //! zero and the aperture in contact.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use coupling::{Allowed, Role, Sizes, Table, identifier};
@@ -424,7 +423,7 @@ impl Unit for FlowUnit {
 
     fn instantiate(environment: &Environment) -> Result<Self, UnitError> {
         let folder = environment.resource("")?;
-        let (document, mesh) = read(&folder)?;
+        let (document, mesh) = coupling::read_resources(&folder)?;
         Self::new(&document, mesh, environment.log.clone())
     }
 
@@ -585,17 +584,6 @@ fn may_pass(error: &FlowError) -> bool {
         FlowError::Linear(error) => matches!(error, Inaccurate { .. } | NotPositiveDefinite { .. }),
         _ => false,
     }
-}
-
-/// Reads model and mesh from the resources.
-///
-/// # Errors
-/// A file is missing or corrupt, or the two do not fit.
-pub fn read(folder: &Path) -> Result<(Document, Mesh), UnitError> {
-    let document = Document::load(folder, &[], &[])?;
-    let mesh = Mesh::new(mesh_io::read_hdf5(folder.join("mesh.h5"))?)?;
-    document.check_mesh(&mesh)?;
-    Ok((document, mesh))
 }
 
 /// The flow problem that a model describes.

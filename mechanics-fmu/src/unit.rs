@@ -4,7 +4,6 @@
 //! that does not converge is discarded. The state of the unit is the equilibrium at the present time with the inputs and
 //! parameters that the host has set.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table};
@@ -349,7 +348,7 @@ impl Unit for MechanicsUnit {
 
     fn instantiate(environment: &Environment) -> Result<Self, UnitError> {
         let folder = environment.resource("")?;
-        let (document, mesh) = read(&folder)?;
+        let (document, mesh) = coupling::read_resources(&folder)?;
         Self::new(&document, mesh, environment.log.clone())
     }
 
@@ -498,17 +497,6 @@ impl Unit for MechanicsUnit {
         }
         Ok(())
     }
-}
-
-/// Reads model and mesh from the resources.
-///
-/// # Errors
-/// A file is missing or corrupt, or the two do not fit.
-pub fn read(folder: &Path) -> Result<(Document, Mesh), UnitError> {
-    let document = Document::load(folder, &[], &[])?;
-    let mesh = Mesh::new(mesh_io::read_hdf5(folder.join("mesh.h5"))?)?;
-    document.check_mesh(&mesh)?;
-    Ok((document, mesh))
 }
 
 /// The mechanical problem that a model describes.

@@ -14,10 +14,12 @@
 //! connected, and a star marks the references.
 
 mod pack;
+mod resources;
 
 use std::fmt::Write as _;
 
 pub use pack::pack_main;
+pub use resources::read_resources;
 
 use fmi_unit::{Reference, Terminal, Type, UnitDefinition, UnitError, Values, ValuesMut, Variable};
 

@@ -1,12 +1,12 @@
 //! Packs the unit: `pack-flow RESOURCES FMU`, with `model.toml` and `mesh.h5` in the folder RESOURCES. The library
 //! is expected beside this program.
 
-use flow_fmu::unit::{FlowUnit, read};
+use flow_fmu::unit::FlowUnit;
 use fmi_unit::{Log, UnitError};
 
 fn main() -> std::process::ExitCode {
     coupling::pack_main::<FlowUnit>("flow_unit", include_bytes!("../icon.png"), |folder| {
-        let (document, mesh) = read(folder)?;
+        let (document, mesh) = coupling::read_resources(folder)?;
         Ok::<_, UnitError>(FlowUnit::new(&document, mesh, Log::default())?.documentation())
     })
 }

@@ -2,11 +2,11 @@
 //! is expected beside this program.
 
 use fmi_unit::{Log, UnitError};
-use mechanics_fmu::unit::{MechanicsUnit, read};
+use mechanics_fmu::unit::MechanicsUnit;
 
 fn main() -> std::process::ExitCode {
     coupling::pack_main::<MechanicsUnit>("mechanics_unit", include_bytes!("../icon.png"), |folder| {
-        let (document, mesh) = read(folder)?;
+        let (document, mesh) = coupling::read_resources(folder)?;
         Ok::<_, UnitError>(MechanicsUnit::new(&document, mesh, Log::default())?.documentation())
     })
 }

@@ -19,7 +19,7 @@ const STEPS: usize = 5;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [resources, file] = &arguments[..] else { return Err("two arguments are needed".into()) };
-    let read = || mechanics_fmu::unit::read(Path::new(resources)).map_err(|e| e.to_string());
+    let read = || coupling::read_resources(Path::new(resources)).map_err(|e| e.to_string());
     let mut text = String::new();
     let mut note = |name: &str, values: &[f64]| {
         let digits: Vec<String> = values.iter().map(|v| format!("{:016x}", v.to_bits())).collect();
