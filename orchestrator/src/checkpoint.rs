@@ -4,7 +4,7 @@
 //! |---|---|
 //! | 8 | [`MAGIC`], the last of which is the version |
 //! | 32 | SHA-256 of what follows |
-//! | rest | settings, state of the loop, states of both units (postcard: floats keep all their bits) |
+//! | rest | settings, state of the loop, states of all units (postcard: floats keep all their bits) |
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -29,7 +29,7 @@ impl Checkpoint {
         Self { of: describe(interface, settings), state, units }
     }
 
-    pub(crate) fn check(&self, interface: &Interface, settings: &Settings) -> Result<(), CouplingError> {
+    pub(crate) fn check(&self, interface: &Interface, settings: &Settings, units: usize) -> Result<(), CouplingError> {
         if self.of != describe(interface, settings) {
             return Err(CouplingError::Checkpoint { reason: "it belongs to a run with other settings" });
         }
@@ -39,7 +39,7 @@ impl Checkpoint {
             && state.sensitivities.len() == fields
             && state.history.iter().all(|(_, f)| f.len() == fields)
             && !state.history.is_empty()
-            && self.units.len() == 2;
+            && self.units.len() == units;
         if fits { Ok(()) } else { Err(CouplingError::Checkpoint { reason: "its content is inconsistent" }) }
     }
 

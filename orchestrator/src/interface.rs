@@ -1,6 +1,7 @@
 //! What two units exchange, and the split: an order and a choice of sensitivities.
 
 use crate::error::CouplingError;
+use crate::fmi::Conversion;
 use crate::unit::Unit;
 use model::{Criterion, FIELDS, Norm, Number, Split};
 
@@ -19,6 +20,14 @@ pub struct Field {
     pub criterion: Criterion,
 }
 
+impl Field {
+    /// Whether a variable of the taker or the giver is set by the coupling of this field.
+    pub(crate) fn sets(&self, variable: &str) -> bool {
+        let own = variable.strip_suffix("_reference").unwrap_or(variable);
+        own == self.name || self.sensitivity.as_ref().is_some_and(|s| s.variable == variable)
+    }
+}
+
 /// The taker sees the field as `value + sign · variable · (p − p*)`, with p its own field `partner` and p* its value
 /// at the giver's last evaluation, which it takes as `{partner}_reference`. The sign is the units' convention.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,11 +38,28 @@ pub struct Sensitivity {
     pub partner: usize,
 }
 
-/// The fields between two units.
+/// An output of a unit that an input of another is set to, outside the coupling. An input of a coupled unit is set
+/// before each time step and stays as it is in it (zero-order hold); that of a unit that follows, when it steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Connection {
+    /// Number of the unit, and the variable that is read.
+    pub from: (usize, String),
+    /// Number of the unit, and the variable that is set.
+    pub to: (usize, String),
+    /// Between their units of measure.
+    pub conversion: Conversion,
+}
+
+/// What units exchange.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interface {
-    /// The fields.
+    /// How many units are coupled: one or two, the first ones. Further ones step once for each accepted time step, after
+    /// them and in their order.
+    pub coupled: usize,
+    /// The fields between the coupled units.
     pub fields: Vec<Field>,
+    /// All other connections.
+    pub connections: Vec<Connection>,
 }
 
 /// Number of the flow unit in [`Interface::poroelastic`].
@@ -66,14 +92,19 @@ impl Interface {
             sensitivity: Some(Sensitivity { variable: variable.into(), partner }),
             criterion: Criterion { tolerance: Number(1e-5), floor: Number(floor), norm: Norm::Largest },
         });
-        Self { fields: fields.collect() }
+        Self { coupled: 2, fields: fields.collect(), connections: Vec::new() }
+    }
+
+    /// One unit alone: there is nothing to couple, and a time step is one pass.
+    pub fn single() -> Self {
+        Self { coupled: 1, fields: Vec::new(), connections: Vec::new() }
     }
 
     /// Leaves out the fields that neither unit has, as those on fractures where there are none.
     ///
     /// # Errors
     /// [`CouplingError::Field`] where one unit has a field and the other does not.
-    pub fn fitted(self, units: &[Box<dyn Unit>; 2]) -> Result<Self, CouplingError> {
+    pub fn fitted(self, units: &[Box<dyn Unit>]) -> Result<Self, CouplingError> {
         let mut kept = Vec::new();
         for field in &self.fields {
             let has = [0, 1].map(|i| units[i].has(&field.name));
@@ -85,14 +116,16 @@ impl Interface {
         }
         // Fields go with their partners: what is on fractures is there for both or neither.
         let number = |old: usize| kept[..old].iter().filter(|&&k| k).count();
-        let mut fields: Vec<Field> = self.fields.into_iter().zip(&kept).filter(|f| *f.1).map(|f| f.0).collect();
+        let mut fields = self.fields;
+        let mut keep = kept.iter();
+        fields.retain(|_| keep.next() == Some(&true));
         for field in &mut fields {
             field.sensitivity = field.sensitivity.take().filter(|s| kept[s.partner]);
             if let Some(sensitivity) = &mut field.sensitivity {
                 sensitivity.partner = number(sensitivity.partner);
             }
         }
-        Ok(Self { fields })
+        Ok(Self { fields, ..self })
     }
 
     /// Replaces the criteria of fields by name; names that there are not are left alone.

@@ -32,7 +32,7 @@ mod unit;
 
 pub use checkpoint::Checkpoint;
 pub use error::CouplingError;
-pub use interface::{FLOW, Field, Interface, MECHANICS, Scheme, Sensitivity};
+pub use interface::{Connection, FLOW, Field, Interface, MECHANICS, Scheme, Sensitivity};
 pub use record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
 pub use run::{Fields, Run, Settings};
 pub use unit::{StepOutcome, Unit, UnitError};

@@ -32,10 +32,11 @@ impl FieldResidual {
 pub struct IterationRecord {
     /// For each field of the interface.
     pub residuals: Vec<FieldResidual>,
-    /// Wall seconds in each unit: inputs, step, outputs.
-    pub seconds: [f64; 2],
+    /// Wall seconds in each unit: inputs, step, outputs. A unit that follows the coupled ones has its time step in the
+    /// last iteration.
+    pub seconds: Vec<f64>,
     /// Newton iterations of each unit, where it tells.
-    pub newton: [Option<u64>; 2],
+    pub newton: Vec<Option<u64>>,
 }
 
 impl IterationRecord {

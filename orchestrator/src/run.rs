@@ -7,7 +7,7 @@ use model::{Acceleration, Coupling, Extrapolation, Norm, Refresh, Time};
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
 use crate::error::CouplingError;
-use crate::interface::{Interface, Scheme};
+use crate::interface::{Connection, Interface, Scheme};
 use crate::record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
 use crate::time::{Pace, TimeControl};
 use crate::unit::{StepOutcome, Unit, UnitError};
@@ -49,10 +49,10 @@ impl Settings {
     }
 }
 
-/// Two coupled units on their way through time.
+/// Units on their way through time: those that are coupled first, one or two, then those that follow them.
 #[derive(Debug)]
 pub struct Run {
-    units: [Box<dyn Unit>; 2],
+    units: Vec<Box<dyn Unit>>,
     interface: Interface,
     settings: Settings,
     control: TimeControl,
@@ -75,23 +75,27 @@ pub(crate) struct State {
     pub(crate) accelerator: Accelerator,
 }
 
-/// How a pass through both units ended.
+/// How a pass through the coupled units ended.
 enum Pass {
     Done { fields: Fields, record: IterationRecord },
     Discarded { unit: usize, reason: String },
 }
 
 impl Run {
-    /// Starts from units that stand at the start time.
+    /// Starts from units that stand at the start time, in the order of the interface's numbers.
     ///
     /// # Errors
-    /// [`CouplingError::RollBack`] where a unit cannot roll back and coupling is not loose;
+    /// [`CouplingError::RollBack`] where one of two coupled units cannot roll back and coupling is not loose;
     /// [`CouplingError::Unit`]; [`CouplingError::Length`].
-    pub fn new(units: [Box<dyn Unit>; 2], interface: Interface, settings: Settings) -> Result<Self, CouplingError> {
+    pub fn new(
+        units: impl Into<Vec<Box<dyn Unit>>>,
+        interface: Interface,
+        settings: Settings,
+    ) -> Result<Self, CouplingError> {
         let time = settings.time.start.0;
-        let mut run = Self::with_state(units, interface, settings, None)?;
+        let mut run = Self::with_state(units.into(), interface, settings, None)?;
         let mut fields = vec![Vec::new(); run.interface.fields.len()];
-        for unit in 0..2 {
+        for unit in 0..run.interface.coupled {
             run.get_outputs(unit, &mut fields)?;
         }
         widen(&mut run.state.ranges, &fields);
@@ -105,12 +109,13 @@ impl Run {
     /// Those of [`new`](Self::new), and [`CouplingError::Checkpoint`] where the settings are not those of the
     /// checkpoint.
     pub fn resume(
-        units: [Box<dyn Unit>; 2],
+        units: impl Into<Vec<Box<dyn Unit>>>,
         interface: Interface,
         settings: Settings,
         checkpoint: &Checkpoint,
     ) -> Result<Self, CouplingError> {
-        checkpoint.check(&interface, &settings)?;
+        let units = units.into();
+        checkpoint.check(&interface, &settings, units.len())?;
         let mut run = Self::with_state(units, interface, settings, Some(checkpoint.state.clone()))?;
         for (unit, bytes) in run.units.iter_mut().zip(&checkpoint.units) {
             unit.deserialise(bytes).map_err(|error| CouplingError::unit(unit.as_ref(), error))?;
@@ -119,14 +124,13 @@ impl Run {
     }
 
     fn with_state(
-        units: [Box<dyn Unit>; 2],
+        units: Vec<Box<dyn Unit>>,
         interface: Interface,
         settings: Settings,
         state: Option<State>,
     ) -> Result<Self, CouplingError> {
-        if !settings.coupling.loose
-            && let Some(unit) = units.iter().find(|unit| !unit.can_roll_back())
-        {
+        let iterates = interface.coupled > 1 && !settings.coupling.loose;
+        if let Some(unit) = units[..interface.coupled].iter().find(|unit| iterates && !unit.can_roll_back()) {
             return Err(CouplingError::RollBack { unit: unit.name().into() });
         }
         let control = TimeControl::new(settings.time.clone(), &settings.output_times);
@@ -175,7 +179,7 @@ impl Run {
     }
 
     /// The units, to get other variables from.
-    pub fn units(&mut self) -> &mut [Box<dyn Unit>; 2] {
+    pub fn units(&mut self) -> &mut [Box<dyn Unit>] {
         &mut self.units
     }
 
@@ -197,12 +201,11 @@ impl Run {
         &mut self,
         watch: &mut dyn FnMut(f64, usize, &IterationRecord),
     ) -> Result<StepRecord, CouplingError> {
-        let can_roll_back = self.units.iter().all(|unit| unit.can_roll_back());
-        if can_roll_back {
-            self.each_unit(|unit| unit.save())?;
-        }
+        let coupled = self.interface.coupled;
+        (0..coupled).try_for_each(|unit| self.carry_to(unit))?;
+        self.where_possible(|unit| unit.save())?;
         if self.refreshes(Refresh::TimeStep) || self.state.number == 0 {
-            (0..2).try_for_each(|unit| self.get_sensitivities(unit))?;
+            (0..coupled).try_for_each(|unit| self.get_sensitivities(unit))?;
         }
         let sensitivities = self.state.sensitivities.clone();
         let mut attempts = Vec::new();
@@ -210,21 +213,57 @@ impl Run {
         loop {
             let end = self.control.next(self.state.time, pace);
             let step = end - self.state.time;
-            let (attempt, fields, residual) = self.attempt(end, watch)?;
+            let (mut attempt, fields, residual) = self.attempt(end, watch)?;
+            let mut moved = coupled;
+            if attempt.outcome == AttemptOutcome::Converged {
+                moved = self.follow(step, &mut attempt)?;
+            }
             let outcome = attempt.outcome.clone();
             attempts.push(attempt);
             if outcome == AttemptOutcome::Converged {
                 return Ok(self.accept(end, pace, fields, attempts));
             }
-            if can_roll_back {
-                self.each_unit(|unit| unit.restore())?;
-            }
+            let can_roll_back = self.units[..moved].iter().all(|unit| unit.can_roll_back());
+            self.where_possible(|unit| unit.restore())?;
             self.state.sensitivities.clone_from(&sensitivities);
             match self.control.failed(step).filter(|_| can_roll_back) {
                 Some(shorter) => pace = shorter,
                 None => return Err(self.failure(attempts, &residual, can_roll_back).into()),
             }
         }
+    }
+
+    /// Lets the units that follow the coupled ones do the time step once, one after the other, with what they are given
+    /// at its end. Gives the number of units that were asked to move; where one discards, the attempt is discarded.
+    fn follow(&mut self, step: f64, attempt: &mut Attempt) -> Result<usize, CouplingError> {
+        for unit in self.interface.coupled..self.units.len() {
+            let clock = Instant::now();
+            self.carry_to(unit)?;
+            let time = self.state.time;
+            if let StepOutcome::Discarded { reason } = self.call(unit, |u| u.step(time, step))? {
+                let name = self.units[unit].name().to_owned();
+                attempt.outcome = AttemptOutcome::Discarded { unit: name, reason };
+                return Ok(unit + 1);
+            }
+            if let Some(last) = attempt.iterations.last_mut() {
+                last.seconds[unit] = clock.elapsed().as_secs_f64();
+                last.newton[unit] = self.units[unit].newton_iterations();
+            }
+        }
+        Ok(self.units.len())
+    }
+
+    /// Sets the inputs of a unit that are connected to outputs outside the coupling.
+    fn carry_to(&mut self, unit: usize) -> Result<(), CouplingError> {
+        let to_it = |c: &&Connection| c.to.0 == unit;
+        for connection in self.interface.connections.iter().filter(to_it).cloned().collect::<Vec<_>>() {
+            let Connection { from, to, conversion } = connection;
+            let mut values = Vec::new();
+            self.call(from.0, |u| u.get(&from.1, &mut values))?;
+            conversion.apply(&mut values);
+            self.call(unit, |u| u.set(&to.1, &values))?;
+        }
+        Ok(())
     }
 
     fn accept(&mut self, end: f64, pace: Pace, fields: Fields, attempts: Vec<Attempt>) -> StepRecord {
@@ -269,7 +308,7 @@ impl Run {
         let mut plain = None;
         for iteration in 1..=max_iterations {
             if iteration > 1 {
-                self.each_unit(|unit| unit.restore())?;
+                self.each_coupled(|unit| unit.restore())?;
             }
             let (pass, trust) = self.careful_pass(&x, step, plain.is_none())?;
             let (fields, mut record) = match pass {
@@ -360,7 +399,7 @@ impl Run {
     /// A pass, with as much of the sensitivities as it takes; gives that part too.
     fn careful_pass(&mut self, x: &Fields, step: f64, is_plain: bool) -> Result<(Pass, f64), CouplingError> {
         let scheme = self.settings.scheme;
-        let can_try = is_plain && scheme.connected[1 - scheme.first];
+        let can_try = is_plain && self.interface.coupled > 1 && scheme.connected[1 - scheme.first];
         let mut trust = TRUST.into_iter();
         let mut now = 1.0;
         loop {
@@ -374,12 +413,14 @@ impl Run {
         }
     }
 
-    /// Lets both units do the time step, each from the state it is in.
+    /// Lets the coupled units do the time step, each from the state it is in.
     fn pass(&mut self, x: &Fields, step: f64, trust: f64) -> Result<Pass, CouplingError> {
         let mut fields = x.clone();
-        let mut record = IterationRecord { residuals: Vec::new(), seconds: [0.0; 2], newton: [None; 2] };
-        let first = self.settings.scheme.first;
-        for unit in [first, 1 - first] {
+        let units = self.units.len();
+        let mut record =
+            IterationRecord { residuals: Vec::new(), seconds: vec![0.0; units], newton: vec![None; units] };
+        let (first, coupled) = (self.settings.scheme.first, self.interface.coupled);
+        for unit in [first, 1 - first].into_iter().filter(|&unit| unit < coupled) {
             let clock = Instant::now();
             self.set_inputs(unit, &fields, x, trust)?;
             let time = self.state.time;
@@ -469,8 +510,14 @@ impl Run {
         act(unit).map_err(|error| CouplingError::unit(unit, error))
     }
 
-    fn each_unit(&mut self, act: impl Fn(&mut dyn Unit) -> Result<(), UnitError>) -> Result<(), CouplingError> {
-        (0..2).try_for_each(|unit| self.call(unit, &act))
+    fn each_coupled(&mut self, act: impl Fn(&mut dyn Unit) -> Result<(), UnitError>) -> Result<(), CouplingError> {
+        (0..self.interface.coupled).try_for_each(|unit| self.call(unit, &act))
+    }
+
+    /// Acts on all units that can roll back.
+    fn where_possible(&mut self, act: impl Fn(&mut dyn Unit) -> Result<(), UnitError>) -> Result<(), CouplingError> {
+        (0..self.units.len())
+            .try_for_each(|unit| if self.units[unit].can_roll_back() { self.call(unit, &act) } else { Ok(()) })
     }
 
     /// Scale of a field: its range at all times up to now, or its floor. Iterates have no part in it: those that

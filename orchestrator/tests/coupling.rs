@@ -351,8 +351,12 @@ fn splits_are_an_order_and_what_is_connected() {
         let (mut flow, mechanics) = (Toy::new(true, &columns), Toy::new(false, &columns));
         flow.log = mechanics.log.clone();
         let log = flow.log.clone();
-        let mut run =
-            Run::new([Box::new(flow), Box::new(mechanics)], Interface::poroelastic(), settings(split, 1)).unwrap();
+        let mut run = Run::new(
+            [Box::new(flow) as Box<dyn Unit>, Box::new(mechanics)],
+            Interface::poroelastic(),
+            settings(split, 1),
+        )
+        .unwrap();
         run.advance().unwrap();
         let log = log.lock().unwrap();
         assert_eq!(log.iter().find(|l| l.ends_with("step")).unwrap(), &format!("{first} step"));

@@ -108,7 +108,7 @@ impl Model {
             }
         }
         check_mesh_source(&self.mesh, &mut log);
-        if self.mechanics.is_none() && self.flow.is_none() {
+        if self.unit_names().is_empty() {
             log.add("", "[mechanics] or [flow] is required");
         }
         for (name, region) in &self.regions {
@@ -121,6 +121,7 @@ impl Model {
         self.check_flow(&mut log);
         check_time(&self.time, &mut log);
         check_coupling(&self.coupling, &mut log);
+        self.check_connections(&mut log);
         for (i, Number(t)) in self.output.times.iter().enumerate() {
             if !(self.time.start.0..=self.time.end.0).contains(t) {
                 log.add(format!("output.times.{i}"), format!("{t} s is not within time.start and time.end"));
@@ -227,6 +228,37 @@ impl Model {
         }
         let aperture = self.function(&fracture.contact_aperture, Scope::Fracture).ok().and_then(|f| f.as_constant());
         log.positive(format!("{key}.contact_aperture"), aperture.map(Number));
+    }
+
+    /// Names of the units: `flow` and `mechanics` where there are, in this order, and those that follow them.
+    pub fn unit_names(&self) -> Vec<&str> {
+        let coupled = [("flow", self.flow.is_some()), ("mechanics", self.mechanics.is_some())];
+        let own =
+            coupled.iter().filter(|(name, is_own)| *is_own || self.units.contains_key(*name)).map(|(name, _)| *name);
+        let further = self.units.keys().map(String::as_str).filter(|name| coupled.iter().all(|(own, _)| own != name));
+        own.chain(further).collect()
+    }
+
+    fn check_connections(&self, log: &mut Log) {
+        let names = self.unit_names();
+        for name in self.units.keys().filter(|name| name.is_empty() || name.contains(['.', '/', '\\'])) {
+            log.add(format!("units.{}", quote(name)), "the name of a unit has no dot and no slash");
+        }
+        if !names.is_empty() && !names.contains(&"flow") && !names.contains(&"mechanics") {
+            log.add("units", "one of the units must be `flow` or `mechanics`");
+        }
+        for (i, connection) in self.connections.iter().enumerate() {
+            for (end, text) in [("from", &connection.from), ("to", &connection.to)] {
+                let unit = text.split_once('.').map(|(unit, _)| unit);
+                if !unit.is_some_and(|unit| names.contains(&unit)) {
+                    let message = format!("\"{text}\" is not UNIT.VARIABLE with a unit of {}", names.join(", "));
+                    log.add(format!("connections.{i}.{end}"), message);
+                }
+            }
+            if self.connections[..i].iter().any(|earlier| earlier.to == connection.to) {
+                log.add(format!("connections.{i}.to"), format!("\"{}\" is connected twice", connection.to));
+            }
+        }
     }
 
     fn check_mechanics(&self, log: &mut Log) {

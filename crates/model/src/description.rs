@@ -42,6 +42,13 @@ pub struct Model {
     /// How the units are coupled.
     #[serde(default)]
     pub coupling: Coupling,
+    /// Units from elsewhere, by name. `flow` and `mechanics` are taken in place of the own ones. All others follow the
+    /// coupled units: they step once for each accepted time step.
+    #[serde(default)]
+    pub units: BTreeMap<String, ForeignUnit>,
+    /// Connections of outputs to inputs outside the coupling.
+    #[serde(default)]
+    pub connections: Vec<Connection>,
     /// What a run leaves.
     #[serde(default)]
     pub output: Output,
@@ -632,6 +639,42 @@ pub enum Refresh {
     TimeStep,
     /// After each coupling iteration.
     Iteration,
+}
+
+/// A unit from elsewhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForeignUnit {
+    /// The FMU, relative to the model's folder.
+    pub fmu: PathBuf,
+    /// Values of its parameters and start values of its inputs, by the name of the variable.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, Parameter>,
+}
+
+/// A start value of a variable of a unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Parameter {
+    /// A truth value.
+    Flag(bool),
+    /// A number.
+    Number(f64),
+    /// A text.
+    Text(String),
+    /// The entries of an array.
+    Numbers(Vec<f64>),
+}
+
+/// An output that an input is set to. An input of a coupled unit is set before each time step and stays as it is in it;
+/// that of a unit that follows, when it steps.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Connection {
+    /// `UNIT.VARIABLE`, as `mechanics.slip_tendency.max`.
+    pub from: String,
+    /// `UNIT.VARIABLE`, as `flow.wells.injector.rate`.
+    pub to: String,
 }
 
 /// What a run leaves.

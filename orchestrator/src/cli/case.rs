@@ -23,7 +23,10 @@ impl Case {
     pub(crate) fn load(path: &Path, variants: &[String], changes: &[String]) -> Result<Self, CliError> {
         let folder = find(path)?;
         let changes: Vec<String> = changes.iter().map(|change| quoted(change)).collect();
-        let document = Document::load(&folder, &as_strs(variants), &as_strs(&changes))?;
+        let mut document = Document::load(&folder, &as_strs(variants), &as_strs(&changes))?;
+        for unit in document.model.units.values_mut() {
+            unit.fmu = folder.join(&unit.fmu);
+        }
         let name = folder.canonicalize().unwrap_or_else(|_| folder.clone());
         let name = name.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy().into_owned());
         Ok(Self { name, folder, document, variants: variants.to_vec(), changes })
@@ -45,24 +48,11 @@ impl Case {
         units.into_iter().filter(|unit| unit.1).map(|unit| unit.0)
     }
 
-    /// Fails where there are no two units to couple.
-    pub(crate) fn check_coupled(&self) -> Result<(), CliError> {
-        match self.units().collect::<Vec<_>>()[..] {
-            [_, _] => Ok(()),
-            [one] => {
-                let reason =
-                    format!("{} has {one} only, nothing to couple it with; `pack` makes an FMU of it", self.name);
-                Err(CliError::Unfit(reason))
-            }
-            _ => Err(CliError::Unfit(format!("{} has neither [mechanics] nor [flow]", self.name))),
-        }
-    }
-
     /// A few lines for people.
     pub(crate) fn describe(&self, mesh: &Mesh) -> String {
         let network = mesh.network();
         let fractures = mesh.data().fractures.len();
-        let units: Vec<_> = self.units().collect();
+        let units = self.document.model.unit_names();
         format!(
             "{}\n{}D, {} cells, {} faces, {} vertices; {fractures} fracture{}, {} fracture faces\nunits: {}",
             self.document.model.title,

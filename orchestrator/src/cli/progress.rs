@@ -1,5 +1,6 @@
 //! What a run says while it goes.
 
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -30,17 +31,18 @@ pub(crate) struct Progress {
     times: [f64; 2],
     bar: ProgressBar,
     number: usize,
+    names: Vec<String>,
 }
 
 impl Progress {
-    /// From the present `time` to the `end` (s); `number` time steps are done.
-    pub(crate) fn new(voice: Voice, time: f64, end: f64, number: usize) -> Self {
+    /// From the present `time` to the `end` (s); `number` time steps are done. `names` are those of the units.
+    pub(crate) fn new(voice: Voice, time: f64, end: f64, number: usize, names: Vec<String>) -> Self {
         let bar = if voice == Voice::Bar { ProgressBar::new(PARTS) } else { ProgressBar::hidden() };
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg}  {eta} left") {
             bar.set_style(style);
         }
         bar.enable_steady_tick(Duration::from_millis(200));
-        Self { voice, times: [time, end], bar, number }
+        Self { voice, times: [time, end], bar, number, names }
     }
 
     /// After a coupling iteration of the time step that ends at `end` (s).
@@ -70,7 +72,7 @@ impl Progress {
                 iterations.len(),
                 record.attempts.len(),
                 if record.attempts.len() == 1 { "" } else { "s" },
-                seconds[0] + seconds[1],
+                seconds.iter().sum::<f64>(),
             ),
             Voice::Json => json!({
                 "number": record.number,
@@ -80,7 +82,7 @@ impl Progress {
                 "iterations": iterations.len(),
                 "residual_ratio": iterations.last().map(IterationRecord::ratio),
                 "newton_iterations": newton(record),
-                "seconds": { "flow": seconds[0], "mechanics": seconds[1] },
+                "seconds": self.names.iter().zip(seconds).collect::<BTreeMap<_, _>>(),
             })
             .to_string(),
             Voice::Bar | Voice::Quiet => return Ok(()),
@@ -95,12 +97,16 @@ impl Progress {
 }
 
 /// Wall seconds in each unit, over all attempts.
-pub(crate) fn seconds(record: &StepRecord) -> [f64; 2] {
-    let iterations = record.attempts.iter().flat_map(|a| &a.iterations);
-    iterations.fold([0.0; 2], |[a, b], i| [a + i.seconds[0], b + i.seconds[1]])
+pub(crate) fn seconds(record: &StepRecord) -> Vec<f64> {
+    let mut sum = Vec::new();
+    for iteration in record.attempts.iter().flat_map(|a| &a.iterations) {
+        sum.resize(iteration.seconds.len(), 0.0);
+        sum.iter_mut().zip(&iteration.seconds).for_each(|(sum, seconds)| *sum += seconds);
+    }
+    sum
 }
 
-/// Newton iterations of both units, over all attempts.
+/// Newton iterations of all units, over all attempts.
 pub(crate) fn newton(record: &StepRecord) -> u64 {
-    record.attempts.iter().flat_map(|a| &a.iterations).flat_map(|i| i.newton).flatten().sum()
+    record.attempts.iter().flat_map(|a| &a.iterations).flat_map(|i| &i.newton).flatten().sum()
 }

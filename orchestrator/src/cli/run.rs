@@ -18,60 +18,79 @@ use super::places::places;
 use super::progress::{Progress, Voice, newton, seconds};
 use super::series::Series;
 
-/// Names of the units, in the order of their numbers.
+/// Names of the units that are coupled, in the order of their numbers.
 const NAMES: [&str; 2] = {
     let mut names = [""; 2];
     (names[FLOW], names[MECHANICS]) = ("flow", "mechanics");
     names
 };
+/// Units by name, in the order of their numbers.
+type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
 
 /// Wall seconds of the parts of a run, by name.
 type Seconds = Vec<(String, f64)>;
 
-/// Two units at the start, and what is to be read from them.
+/// Units at the start, and what is to be read from them.
 pub(crate) struct Started {
-    units: [Box<dyn Unit>; 2],
+    units: Vec<Box<dyn Unit>>,
     pub(crate) interface: Interface,
     pub(crate) series: Series,
-    versions: [UnitVersion; 2],
+    versions: Vec<UnitVersion>,
 }
 
-/// Packs the units of a model that are not given; the files go into `folder`.
+/// The FMUs of a model: `given` ones in place of flow and mechanics, those that the model names, and its own, which are
+/// packed into `folder`.
 pub(crate) fn fmus(
     document: &Document,
     mesh: &Mesh,
     given: [Option<PathBuf>; 2],
     folder: &Path,
-) -> Result<[PathBuf; 2], CliError> {
-    let own = NAMES.map(|name| folder.join(name).with_extension("fmu"));
-    let list: Vec<(&str, PathBuf)> =
-        (0..2).filter(|&i| given[i].is_none()).map(|i| (NAMES[i], own[i].clone())).collect();
-    pack::pack(document, mesh, &list)?;
-    let [a, b] = given;
-    let [own_a, own_b] = own;
-    Ok([a.unwrap_or(own_a), b.unwrap_or(own_b)])
+) -> Result<Fmus, CliError> {
+    let model = &document.model;
+    let (mut fmus, mut own) = (Fmus::new(), Vec::new());
+    for ((name, given), is_own) in NAMES.into_iter().zip(given).zip([model.flow.is_some(), model.mechanics.is_some()]) {
+        let named = model.units.get(name).map(|unit| unit.fmu.clone());
+        if let Some(path) = given.or(named) {
+            fmus.push((name.to_owned(), path));
+        } else if is_own {
+            let path = folder.join(name).with_extension("fmu");
+            fmus.push((name.to_owned(), path.clone()));
+            own.push((name, path));
+        }
+    }
+    let further = model.units.iter().filter(|(name, _)| !NAMES.contains(&name.as_str()));
+    fmus.extend(further.map(|(name, unit)| (name.clone(), unit.fmu.clone())));
+    pack::pack(document, mesh, &own)?;
+    Ok(fmus)
 }
 
-/// Loads and initialises two units.
-pub(crate) fn start(paths: &[PathBuf; 2], document: &Document, mesh: &Mesh) -> Result<Started, CliError> {
+/// Loads and initialises units.
+pub(crate) fn start(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<Started, CliError> {
     let model = &document.model;
-    let fmus = [Fmu::open(&paths[0])?, Fmu::open(&paths[1])?];
-    let mut units = [fmus[0].instantiate(NAMES[0])?, fmus[1].instantiate(NAMES[1])?];
-    for unit in &mut units {
-        check_mesh(unit, mesh)?;
+    let fmus = paths.iter().map(|(_, path)| Fmu::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let descriptions: Vec<_> =
+        paths.iter().zip(&fmus).map(|((name, _), fmu)| (name.as_str(), fmu.description())).collect();
+    let is_pair = paths.iter().filter(|(name, _)| NAMES.contains(&name.as_str())).count() == 2;
+    let mut interface = if is_pair { Interface::poroelastic() } else { Interface::single() };
+    interface.connections = fmi::connections(&model.connections, &interface, &descriptions)?;
+    let mut units = Vec::new();
+    for ((name, _), fmu) in paths.iter().zip(&fmus) {
+        let mut unit = fmu.instantiate(name)?;
+        check_mesh(&mut unit, mesh)?;
+        units.push(unit);
     }
     fmi::start(&mut units, model)?;
-    let units = units.map(|unit| Box::new(unit) as Box<dyn Unit>);
-    let interface = Interface::poroelastic().with_criteria(&model.coupling.criteria).fitted(&units)?;
-    let descriptions = [(NAMES[0], fmus[0].description()), (NAMES[1], fmus[1].description())];
+    let units: Vec<_> = units.into_iter().map(|unit| Box::new(unit) as Box<dyn Unit>).collect();
+    let interface = interface.with_criteria(&model.coupling.criteria).fitted(&units)?;
     let times = model.output.times.iter().map(|t| t.0).collect();
-    let series = Series::new(descriptions, &interface, mesh, times);
-    let versions = descriptions.map(|(name, description)| UnitVersion {
-        name: name.to_owned(),
+    let series = Series::new(&descriptions, &interface, mesh, times);
+    let version = |(name, description): &(&str, &fmi::Description)| UnitVersion {
+        name: (*name).to_owned(),
         version: format!("{}, token {}", description.model_name, description.token),
-    });
+    };
+    let versions = descriptions.iter().map(version).collect();
     Ok(Started { units, interface, series, versions })
 }
 
@@ -105,9 +124,6 @@ pub(crate) fn run(
     given: [Option<PathBuf>; 2],
     voice: Voice,
 ) -> Result<(), CliError> {
-    if given.iter().any(Option::is_none) {
-        case.check_coupled()?;
-    }
     // What would be found out at the end of the packing anyway.
     if !overwrite && std::fs::read_dir(output).is_ok_and(|mut list| list.next().is_some()) {
         return Err(ResultsError::Exists(output.to_owned()).into());
@@ -151,28 +167,29 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
 }
 
 /// Copies the units into the results, so that they can be gone on with even where other ones lie beside the program.
-fn keep(paths: &[PathBuf; 2], folder: &Path) -> Result<(), CliError> {
+fn keep(paths: &Fmus, folder: &Path) -> Result<(), CliError> {
     let units = folder.join(UNITS);
     match std::fs::remove_dir_all(&units) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(CliError::file(&units)(error)),
         _ => {}
     }
-    // The folder appears when both are in it.
+    // The folder appears when all are in it.
     let part = folder.join(format!("{UNITS}.part"));
     std::fs::create_dir_all(&part).map_err(CliError::file(&part))?;
-    for (path, name) in paths.iter().zip(NAMES) {
-        std::fs::copy(path, part.join(name).with_extension("fmu")).map_err(CliError::file(path))?;
+    for (name, path) in paths {
+        std::fs::copy(path, part.join(format!("{name}.fmu"))).map_err(CliError::file(path))?;
     }
     std::fs::rename(&part, &units).map_err(CliError::file(&units))
 }
 
 /// The units in the results. Where a run was killed before they were there, they are packed again.
-fn kept(folder: &Folder, document: &Document, temporary: &Path) -> Result<[PathBuf; 2], CliError> {
+fn kept(folder: &Folder, document: &Document, temporary: &Path) -> Result<Fmus, CliError> {
     let units = folder.path().join(UNITS);
-    if units.is_dir() {
-        return Ok(NAMES.map(|name| units.join(name).with_extension("fmu")));
-    }
     let manifest = folder.manifest();
+    if units.is_dir() {
+        let path = |name: &str| units.join(format!("{name}.fmu"));
+        return Ok(manifest.units.iter().map(|unit| (unit.name.clone(), path(&unit.name))).collect());
+    }
     if manifest.command.iter().any(|word| NAMES.iter().any(|name| word.starts_with(&format!("--{name}")))) {
         let reason = format!("{} has lost its units, which are not those of the model", folder.path().display());
         return Err(CliError::Unfit(reason));
@@ -199,7 +216,8 @@ fn drive(mut run: Run, series: &Series, folder: &mut Folder, voice: Voice, mut p
     let model = &folder.manifest().model.toml;
     let end = Document::read("manifest.json", model, &[], &[])?.model.time.end.0;
     let mut totals = Totals { first: folder.last(), ..Totals::default() };
-    let mut progress = Progress::new(voice, run.time(), end, folder.last());
+    let names: Vec<String> = folder.manifest().units.iter().map(|unit| unit.name.clone()).collect();
+    let mut progress = Progress::new(voice, run.time(), end, folder.last(), names.clone());
     let clock = Instant::now();
     let (before, mut checkpoints) = (folder.seconds(), 0.0);
     let mut failure = None;
@@ -237,12 +255,8 @@ fn drive(mut run: Run, series: &Series, folder: &mut Folder, voice: Voice, mut p
         let left = format!("\nresults up to t = {} s are in {}", report.time, folder.path().display());
         return Err(CliError::Coupling { error: CouplingError::Failed(report), places, left });
     }
-    parts.extend([
-        ("flow".into(), totals.seconds[FLOW]),
-        ("mechanics".into(), totals.seconds[MECHANICS]),
-        ("results".into(), folder.seconds()),
-        ("of which checkpoints".into(), checkpoints),
-    ]);
+    parts.extend(names.into_iter().zip(totals.seconds.iter().copied()));
+    parts.extend([("results".into(), folder.seconds()), ("of which checkpoints".into(), checkpoints)]);
     match voice {
         Voice::Quiet => Ok(()),
         Voice::Json => {
@@ -272,7 +286,8 @@ struct Totals {
     iterations: usize,
     largest: usize,
     newton: u64,
-    seconds: [f64; 2],
+    /// For each unit.
+    seconds: Vec<f64>,
 }
 
 impl Totals {
@@ -284,7 +299,8 @@ impl Totals {
         self.largest = self.largest.max(iterations);
         self.newton += newton(record);
         let seconds = seconds(record);
-        self.seconds = [self.seconds[0] + seconds[0], self.seconds[1] + seconds[1]];
+        self.seconds.resize(seconds.len(), 0.0);
+        self.seconds.iter_mut().zip(seconds).for_each(|(sum, seconds)| *sum += seconds);
     }
 
     fn text(&self, parts: &Seconds, folder: &Path, page: &Path) -> String {

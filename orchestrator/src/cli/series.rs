@@ -27,19 +27,21 @@ struct Output {
 
 impl Series {
     /// All scalar outputs, and all arrays on cells and fracture faces but for the sensitivities.
-    pub(crate) fn new(units: [(&str, &Description); 2], interface: &Interface, mesh: &Mesh, times: Vec<f64>) -> Self {
+    pub(crate) fn new(units: &[(&str, &Description)], interface: &Interface, mesh: &Mesh, times: Vec<f64>) -> Self {
         let sensitivities: Vec<&str> =
             interface.fields.iter().filter_map(|f| f.sensitivity.as_ref()).map(|s| s.variable.as_str()).collect();
         let mut series = Self { scalars: Vec::new(), arrays: Vec::new(), times };
-        for (unit, (unit_name, description)) in units.into_iter().enumerate() {
-            let partner = units[1 - unit].1;
+        for (unit, &(unit_name, description)) in units.iter().enumerate() {
             for (variable, v) in &description.variables {
                 let is_number = matches!(v.ty, VariableType::Float64 | VariableType::Int64 | VariableType::UInt64);
                 let left_out = WORK.contains(&variable.as_str()) || sensitivities.contains(&variable.as_str());
                 if v.causality != Causality::Output || !is_number || left_out {
                     continue;
                 }
-                let is_twice = partner.variables.get(variable).is_some_and(|p| p.causality == Causality::Output);
+                let is_output = |(_, d): &&(&str, &Description)| {
+                    d.variables.get(variable).is_some_and(|p| p.causality == Causality::Output)
+                };
+                let is_twice = units.iter().filter(is_output).count() > 1;
                 let name = if is_twice { format!("{unit_name}.{variable}") } else { variable.clone() };
                 let measure = v.unit.clone().unwrap_or_else(|| "1".into());
                 let output = Output { unit, variable: variable.clone(), name, measure };
@@ -59,7 +61,7 @@ impl Series {
     }
 
     /// The present state of the units.
-    pub(crate) fn snapshot(&self, time: f64, units: &mut [Box<dyn Unit>; 2]) -> Result<Snapshot, CouplingError> {
+    pub(crate) fn snapshot(&self, time: f64, units: &mut [Box<dyn Unit>]) -> Result<Snapshot, CouplingError> {
         let mut snapshot = Snapshot { time, scalars: Vec::new(), arrays: Vec::new() };
         let mut read = |output: &Output| {
             let mut values = Vec::new();

@@ -68,7 +68,6 @@ pub(crate) fn verify(case: &Case, variants: &[String], changes: &[String]) -> Re
 
 /// Runs the model and prints each claim; gives the number of those that do not hold.
 fn compare(case: &Case, rows: &[Row], say: &mut dyn FnMut(&str) -> Result<(), CliError>) -> Result<usize, CliError> {
-    case.check_coupled()?;
     let mesh = case.mesh()?;
     let temporary = pack::temporary("fmus-")?;
     let paths = fmus(&case.document, &mesh, [None, None], temporary.path())?;

@@ -1,9 +1,12 @@
 //! What `modelDescription.xml` says, as far as co-simulation needs it.
 
 use std::collections::BTreeMap;
+use std::str::FromStr;
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
+
+use super::measure::{BASE_UNITS, Measure};
 
 /// What a variable is to its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +73,8 @@ pub struct Description {
     pub has_derivatives: bool,
     /// The variables by name.
     pub variables: BTreeMap<String, Variable>,
+    /// The units of measure that are defined, by name.
+    pub units: BTreeMap<String, Measure>,
 }
 
 impl Description {
@@ -82,6 +87,8 @@ impl Description {
         let mut sizes = Sizes::default();
         let mut reader = Reader::from_str(xml);
         let mut in_variables = false;
+        // The unit of measure whose element is open or was last.
+        let mut unit = String::new();
         // The variable whose element is open, and the name of the element.
         let mut current: Option<(String, Variable)> = None;
         loop {
@@ -105,6 +112,8 @@ impl Description {
                         description.serialises_state = flag("canSerializeFMUState")?;
                         description.has_derivatives = flag("providesDirectionalDerivatives")?;
                     }
+                    "Unit" => unit = attribute(&e, "name")?.unwrap_or_default(),
+                    "BaseUnit" => drop(description.units.insert(unit.clone(), read_measure(&e)?)),
                     "ModelVariables" => in_variables = true,
                     "Dimension" => {
                         if let Some((_, variable)) = &current {
@@ -163,9 +172,19 @@ impl Sizes {
     }
 }
 
+fn read_measure(e: &BytesStart<'_>) -> Result<Measure, String> {
+    let mut measure = Measure { exponents: [0; 8], factor: 1.0, offset: 0.0 };
+    for (exponent, name) in measure.exponents.iter_mut().zip(BASE_UNITS) {
+        *exponent = number(e, name)?.unwrap_or(0);
+    }
+    measure.factor = number(e, "factor")?.unwrap_or(1.0);
+    measure.offset = number(e, "offset")?.unwrap_or(0.0);
+    Ok(measure)
+}
+
 fn read_variable(e: &BytesStart<'_>) -> Result<Variable, String> {
     let name = attribute(e, "name")?.ok_or("a variable has no name")?;
-    let reference = number(e, "valueReference")?.and_then(|r| u32::try_from(r).ok());
+    let reference = number::<u32>(e, "valueReference")?;
     let reference = reference.ok_or_else(|| format!("the variable \"{name}\" has no reference"))?;
     let ty = match e.name().as_ref() {
         "Float64" => VariableType::Float64,
@@ -194,7 +213,7 @@ fn attribute(e: &BytesStart<'_>, name: &str) -> Result<Option<String>, String> {
     }
 }
 
-fn number(e: &BytesStart<'_>, name: &str) -> Result<Option<u64>, String> {
+fn number<T: FromStr>(e: &BytesStart<'_>, name: &str) -> Result<Option<T>, String> {
     let text = attribute(e, name)?;
     text.map(|t| t.parse().map_err(|_| format!("\"{name}\" is \"{t}\", not a number"))).transpose()
 }
@@ -223,6 +242,7 @@ mod tests {
         assert_eq!((d.has_state, d.serialises_state, d.has_derivatives), (true, false, false));
         let sizes: Vec<_> = d.variables.values().map(|v| (v.name.as_str(), v.reference, v.size)).collect();
         assert_eq!(sizes, [("e", 4, 5), ("n", 9, 1), ("p", 3, 6), ("s", 5, 1)]);
+        assert_eq!(d.units["Pa"].exponents, [1, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(d.variables["e"].ty, VariableType::Int64);
         assert_eq!(d.variables["p"].unit.as_deref(), Some("Pa"));
         assert_eq!(d.variables["p"].causality, Causality::Input);

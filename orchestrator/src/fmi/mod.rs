@@ -8,31 +8,34 @@
 
 mod description;
 mod library;
+mod measure;
 mod unit;
+mod wiring;
 
 pub use description::{Causality, Description, Variable, VariableType};
+pub use measure::{Conversion, Measure};
 pub use unit::{Fmu, FmuUnit};
+pub use wiring::{WiringError, connections};
 
 use std::path::PathBuf;
 
 use crate::CouplingError;
 use crate::unit::Unit;
 
-/// Makes flow and mechanics ready for a model: refuses different meshes, sets the parameters of the coupling that the
-/// units have, and initialises them.
+/// Makes units ready for a model: refuses different meshes, sets the parameters of the coupling that the units have and
+/// those that the model gives, and initialises them.
 ///
 /// # Errors
 /// [`CouplingError::Mesh`]; [`CouplingError::Unit`].
-pub fn start(units: &mut [FmuUnit; 2], model: &model::Model) -> Result<(), CouplingError> {
+pub fn start(units: &mut [FmuUnit], model: &model::Model) -> Result<(), CouplingError> {
     const FINGERPRINT: &str = "mesh.fingerprint";
     let fail = |unit: &FmuUnit, error| CouplingError::unit(unit, error);
-    if units.iter().all(|unit| unit.has(FINGERPRINT)) {
-        let mut fingerprints = [String::new(), String::new()];
-        for (text, unit) in fingerprints.iter_mut().zip(&mut *units) {
-            *text = unit.text(FINGERPRINT).map_err(|error| fail(unit, error))?;
-        }
-        if fingerprints[0] != fingerprints[1] {
-            return Err(CouplingError::Mesh { fingerprints });
+    let mut first: Option<String> = None;
+    for unit in units.iter_mut().filter(|unit| unit.has(FINGERPRINT)) {
+        let found = unit.text(FINGERPRINT).map_err(|error| fail(unit, error))?;
+        let expected = first.get_or_insert_with(|| found.clone());
+        if found != *expected {
+            return Err(CouplingError::Mesh { fingerprints: [expected.clone(), found] });
         }
     }
     let sensitivity = &model.coupling.sensitivity;
@@ -43,6 +46,9 @@ pub fn start(units: &mut [FmuUnit; 2], model: &model::Model) -> Result<(), Coupl
     for unit in units {
         for (name, value) in parameters.iter().filter(|(name, _)| unit.has(name)).collect::<Vec<_>>() {
             unit.set(name, &[value.0]).map_err(|error| fail(unit, error))?;
+        }
+        for (name, value) in model.units.get(unit.name()).map(|unit| &unit.parameters).into_iter().flatten() {
+            unit.set_start(name, value).map_err(|error| fail(unit, error))?;
         }
         unit.initialise(model.time.start.0, model.time.end.0).map_err(|error| fail(unit, error))?;
     }

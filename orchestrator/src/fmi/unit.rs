@@ -4,6 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use model::Parameter;
 use tempfile::TempDir;
 
 use super::FmuError;
@@ -81,6 +82,20 @@ impl FmuUnit {
     pub fn initialise(&mut self, start: f64, stop: f64) -> Result<(), UnitError> {
         let status = self.instance.initialise(start, stop);
         self.done(status)
+    }
+
+    /// Sets a parameter or the start value of an input, before [`initialise`](Self::initialise).
+    ///
+    /// # Errors
+    /// [`UnitError`].
+    pub fn set_start(&mut self, variable: &str, value: &Parameter) -> Result<(), UnitError> {
+        match value {
+            Parameter::Number(value) => self.set(variable, &[*value]),
+            Parameter::Numbers(values) => self.set(variable, values),
+            Parameter::Flag(_) | Parameter::Text(_) => {
+                Err(UnitError::Unsupported { what: "parameters that are no numbers" })
+            }
+        }
     }
 
     /// The FMU it is an instance of.

@@ -24,8 +24,8 @@ pub struct Manifest {
     pub command: Vec<String>,
     /// Date and time (UTC).
     pub started: String,
-    /// The coupled units, in the order of their numbers.
-    pub units: [UnitVersion; 2],
+    /// The units, in the order of their numbers.
+    pub units: Vec<UnitVersion>,
     /// The fields that they exchange, in the order of the interface.
     pub fields: Vec<Quantity>,
     /// The model.
@@ -118,7 +118,7 @@ impl Manifest {
         changes: &[&str],
         mesh: &Mesh,
         interface: &Interface,
-        units: [UnitVersion; 2],
+        units: Vec<UnitVersion>,
     ) -> Self {
         let model = &document.model;
         let owned = |list: &[&str]| list.iter().map(|&text| text.to_owned()).collect();

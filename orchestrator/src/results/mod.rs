@@ -399,6 +399,10 @@ fn check(
     if let Some(found) = residuals.find(|&n| n != manifest.fields.len()) {
         return fail(format!("there are {found} residuals for {} coupled fields", manifest.fields.len()));
     }
+    let units = manifest.units.len();
+    if record.attempts.iter().flat_map(|a| &a.iterations).any(|i| [i.seconds.len(), i.newton.len()] != [units; 2]) {
+        return fail(format!("there are not {units} seconds and Newton iterations for the units"));
+    }
     for array in &snapshot.arrays {
         let (found, expected) = (array.values.len(), array.shape.length(mesh));
         if found != expected {

@@ -61,7 +61,7 @@ pub(crate) struct Totals {
     /// Smallest and largest number of those of an accepted attempt.
     pub(crate) range: (usize, usize),
     /// Newton iterations of each unit, where it tells.
-    pub(crate) newton: [Option<u64>; 2],
+    pub(crate) newton: Vec<Option<u64>>,
     /// Name and wall seconds of parts; the units first.
     pub(crate) seconds: Vec<(String, f64)>,
 }
@@ -83,7 +83,7 @@ impl Totals {
             failed_attempts: attempts().filter(|a| a.outcome != AttemptOutcome::Converged).count(),
             iterations: iterations().count(),
             range: (accepted().min().unwrap_or(0), accepted().max().unwrap_or(0)),
-            newton: [newton(0), newton(1)],
+            newton: (0..manifest.units.len()).map(newton).collect(),
             seconds,
         }
     }
@@ -164,12 +164,12 @@ fn facts(manifest: &Manifest, history: &History, totals: &Totals) -> String {
         (number(totals.mean_iterations(history)), "coupling iterations a time step".into()),
         (grouped(totals.failed_attempts), "failed attempts".into()),
     ];
-    for (unit, newton) in manifest.units.iter().zip(totals.newton) {
+    for (unit, newton) in manifest.units.iter().zip(&totals.newton) {
         if let Some(newton) = newton {
-            list.push((grouped(newton as usize), format!("Newton iterations, {}", unit.name)));
+            list.push((grouped(*newton as usize), format!("Newton iterations, {}", unit.name)));
         }
     }
-    let in_units: f64 = totals.seconds.iter().take(2).map(|s| s.1).sum();
+    let in_units: f64 = totals.seconds.iter().take(manifest.units.len()).map(|s| s.1).sum();
     list.push((format!("{} s", short(in_units)), "in the units".into()));
     let boxes: String =
         list.iter().map(|(value, what)| format!("<div><b>{value}</b><span>{}</span></div>\n", escaped(what))).collect();

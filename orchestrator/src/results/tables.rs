@@ -100,11 +100,13 @@ pub(crate) fn rows(record: &StepRecord, snapshot: &Snapshot) -> [String; 4] {
                 let worst = residual.worst.map_or(String::new(), |w| w.to_string());
                 let _ = write!(iterations, ",{:?},{:?},{:?},{worst}", residual.norm, residual.limit, residual.ratio());
             }
-            for newton in iteration.newton {
+            for newton in &iteration.newton {
                 iterations += &format!(",{}", newton.map_or(String::new(), |n| n.to_string()));
             }
             iterations.push('\n');
-            let _ = writeln!(timings, "{key},{i},{:?},{:?}", iteration.seconds[0], iteration.seconds[1]);
+            let _ = write!(timings, "{key},{i}");
+            iteration.seconds.iter().for_each(|seconds| timings += &format!(",{seconds:?}"));
+            timings.push('\n');
         }
     }
     [series, attempts, iterations, timings]

@@ -20,7 +20,7 @@ fn models() -> PathBuf {
 fn case(name: &str, changes: &[&str]) -> (Manifest, Mesh) {
     let document = Document::load(&models().join(name), &[], changes).unwrap();
     let mesh = document.mesh(&models(), &|_| unreachable!()).unwrap();
-    let units = ["flow", "mechanics"].map(|name| UnitVersion { name: name.into(), version: "0.1.0".into() });
+    let units = ["flow", "mechanics"].map(|name| UnitVersion { name: name.into(), version: "0.1.0".into() }).to_vec();
     let interface = Interface::poroelastic();
     let mut manifest = Manifest::new(name, &document, &[], changes, &mesh, &interface, units);
     manifest.command = ["orchestrator", "run", name].map(String::from).to_vec();
@@ -96,8 +96,8 @@ fn attempt(step: f64, seed: usize, count: usize, outcome: AttemptOutcome) -> Att
         if outcome == AttemptOutcome::NotFinite && i == count {
             residuals[1].norm = f64::NAN;
         }
-        let newton = [None, Some(2 + (seed % 3) as u64)];
-        IterationRecord { residuals, seconds: [0.001 * i as f64, 0.002], newton }
+        let newton = vec![None, Some(2 + (seed % 3) as u64)];
+        IterationRecord { residuals, seconds: vec![0.001 * i as f64, 0.002], newton }
     };
     Attempt { step, iterations: (1..=count).map(iteration).collect(), outcome }
 }
