@@ -184,9 +184,27 @@ fn everything_that_is_wrong_with_a_model_is_said_at_once() {
     assert!(text.contains("h0.01"), "{text}");
     let text = fail(&["check", "six-fracture"], 2);
     assert!(text.contains("six-fracture/model.toml") && text.contains("models/six-fracture/model.toml"), "{text}");
-    let text = fail(&["run", "models/single-crack"], 2);
-    assert!(text.contains("mechanics only"), "{text}");
+    let unknown = "connections=[{from=\"mechanics.aperture.mean\", to=\"light.aperture\"}]";
+    let text = fail(&["check", "models/six-fractures", "--set", unknown], 2);
+    assert!(text.contains("light.aperture") && text.contains("flow, mechanics"), "{text}");
+    let unknown = "connections=[{from=\"mechanics.aperture\", to=\"flow.matrix.porosity_change\"}]";
+    let text = fail(&["run", "models/six-fractures", "--output", "nowhere", "--set", unknown], 2);
+    assert!(text.contains("no variable \"aperture\"; its outputs are aperture.max"), "{text}");
     assert!(fail(&["resume", "nowhere"], 1).contains("nowhere"));
+}
+
+#[test]
+fn a_model_of_one_unit_runs_alone_and_is_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    let output = results.to_str().unwrap();
+    let mesh = "mesh.box={low=[-1, -1, -1], high=[1, 1, 1], cells=[2, 2, 2]}";
+    let text = succeed(&["run", "models/manufactured-contact", "--set", mesh, "--output", output]);
+    assert!(text.contains("units: mechanics") && text.contains("coupling iterations 1.0 on average"), "{text}");
+    assert_eq!(column(&results, "newton.iterations").len(), 2);
+    let head = fs::read_to_string(results.join("timings.csv")).unwrap();
+    assert!(head.starts_with("time_step,attempt,iteration,mechanics [s]\n"), "{head}");
+    assert!(succeed(&["resume", output]).contains("0 time steps"));
 }
 
 #[test]
