@@ -105,12 +105,12 @@ impl Face {
         self.contact_aperture - jump[0] + self.dilation * norm(&slip)
     }
 
-    /// ∂d_f/∂⟦u⟧.
-    pub(crate) fn aperture_gradient(&self, jump: &Local, origin: &Local) -> Local {
+    /// ∂d_f/∂⟦u⟧; where there is no slip yet, that in the direction in which it would begin (a unit vector, or 0).
+    pub(crate) fn aperture_gradient(&self, jump: &Local, origin: &Local, begins: [f64; 2]) -> Local {
         let slip = [jump[1] - origin[1], jump[2] - origin[2]];
         let length = norm(&slip);
-        let factor = if length > 0.0 { self.dilation / length } else { 0.0 };
-        [-1.0, factor * slip[0], factor * slip[1]]
+        let [x, y] = if length > 0.0 { slip.map(|s| s / length) } else { begins };
+        [-1.0, self.dilation * x, self.dilation * y]
     }
 
     /// |λ_τ| may not exceed this (Pa) at the normal multiplier λ_n.
@@ -182,7 +182,11 @@ impl Face {
         let mut law = Linearised::default();
         // |σ| c here, and its derivative.
         let follows = -size * partner.stiffness * self.aperture(jump, origin);
-        let slope = self.aperture_gradient(jump, origin).map(|g| -size * partner.stiffness * g);
+        let b = self.augmented(jump, lambda, previous);
+        let length = norm(&b[1..]);
+        let e = if length > 0.0 { [b[1] / length, b[2] / length] } else { [0.0; 2] };
+        let begins = if state == ContactState::Slip { e } else { [0.0; 2] };
+        let slope = self.aperture_gradient(jump, origin, begins).map(|g| -size * partner.stiffness * g);
         let normal_row = |law: &mut Linearised, stiffness: f64| {
             law.t[0][0] = 1.0;
             law.h[0] = slope;
@@ -208,10 +212,7 @@ impl Face {
             return law;
         }
         // λ_τ = bound e + κ (1 − e eᵀ) δg_τ: the exact derivative of bound b_τ/|b_τ|, solved for λ_τ.
-        let b = self.augmented(jump, lambda, previous);
-        let length = norm(&b[1..]);
-        let (e, ratio) =
-            if length > 0.0 { ([b[1] / length, b[2] / length], self.bound(b[0]) / length) } else { ([0.0; 2], 0.0) };
+        let ratio = if length > 0.0 { self.bound(b[0]) / length } else { 0.0 };
         let kappa = (self.beta * ratio / (1.0 - ratio)).min(RIGID * self.stiffness);
         let f = self.coefficient();
         let fixed_bound = self.bound(0.0);

@@ -667,8 +667,8 @@ impl Mechanics {
         let jump = state.jump(&self.system.space);
         (0..self.faces.len())
             .map(|i| {
-                let gradient =
-                    self.faces[i].aperture_gradient(&self.local(jump, i), &self.local(&state.initial_jump, i));
+                let (jump, origin) = (self.local(jump, i), self.local(&state.initial_jump, i));
+                let gradient = self.faces[i].aperture_gradient(&jump, &origin, [0.0; 2]);
                 gradient.iter().zip(self.local(change, i)).map(|(g, c)| g * c).sum()
             })
             .collect()

@@ -24,15 +24,16 @@ pub mod manufactured {
     }
 
     /// The families of meshes, and for each the cells along an edge of the boxes that they are made from, level by level.
-    pub const FAMILIES: [(&str, [usize; 5]); 5] = [
+    pub const FAMILIES: [(&str, [usize; 5]); 6] = [
         ("Cartesian", [8, 12, 16, 24, 32]),
         ("perturbed hexahedra", [8, 12, 16, 24, 32]),
         ("tetrahedra", [6, 8, 12, 16, 24]),
         ("dual polyhedra", [6, 8, 12, 16, 20]),
         ("agglomerated tetrahedra", [6, 8, 12, 16, 24]),
+        ("prisms over polygons", [6, 8, 12, 16, 24]),
     ];
 
-    /// A mesh of a family, made from n³ boxes; n is even.
+    /// A mesh of a family, made from n³ boxes, or from n layers over triangles of edge 2/n; n is even.
     ///
     /// # Panics
     /// If there is no such family.
@@ -47,6 +48,17 @@ pub mod manufactured {
             "tetrahedra" => return Arc::new(tetrahedra()),
             "dual polyhedra" => dual(&tetrahedra()).unwrap_or_else(|e| panic!("{e}")),
             "agglomerated tetrahedra" => agglomerate(&tetrahedra(), 8).unwrap_or_else(|e| panic!("{e}")),
+            "prisms over polygons" => {
+                let size = 2.0 / n as f64;
+                let plan = Triangles::rectangle([-1.0; 2], [1.0; 2], size);
+                let plan = plan.fracture("vertical", &[[0.0, -1.0], [0.0, 1.0]], size).build();
+                let plan = dual(&sound(plan.unwrap_or_else(|e| panic!("{e}"))));
+                let levels: Vec<f64> = (0..=n).map(|k| k as f64 * size - 1.0).collect();
+                let plan = sound(plan.unwrap_or_else(|e| panic!("{e}")));
+                let mut prisms = extrude(&plan, &levels, |_, layer| 2 * layer < n).unwrap_or_else(|e| panic!("{e}"));
+                prisms.mark_fracture("horizontal", |x| x.z.abs() < 1e-9);
+                prisms
+            }
             _ => panic!("there is no family {family}"),
         };
         Arc::new(sound(data))
@@ -213,6 +225,15 @@ pub mod single_crack {
         Mesh::new(data.unwrap_or_else(|e| panic!("{e}"))).unwrap_or_else(|e| panic!("{e}"))
     }
 
+    /// Polygons: the dual of [`triangles`], with one face more on the crack, of which those at the tips are half as long.
+    ///
+    /// # Panics
+    /// If the mesh cannot be made.
+    pub fn polygons(side: f64, faces: usize, growth: f64) -> Mesh {
+        let data = dual(&triangles(side, faces, growth)).unwrap_or_else(|e| panic!("{e}"));
+        Mesh::new(data).unwrap_or_else(|e| panic!("{e}"))
+    }
+
     /// Growth of the triangles (m/m) that refines the far field as the crack: its error is of second order in the growth. About
     /// 50 000 triangles at 400 faces, 200 000 at 800.
     pub fn growth(faces: usize) -> f64 {
@@ -290,34 +311,75 @@ pub mod single_crack {
         4.0 * (1.0 - POISSON.powi(2)) / YOUNG * stress * (HALF_LENGTH.powi(2) - from_center.powi(2)).max(0.0).sqrt()
     }
 
-    /// For each face, ordered along the crack: distance from its middle (m, signed), slip (m), λ_n (Pa).
-    pub fn profile(mechanics: &Mechanics, state: &State) -> Vec<[f64; 3]> {
+    /// A face of the crack and what was found on it.
+    #[derive(Clone, Copy, Debug)]
+    pub struct FaceResult {
+        /// Distance of its middle from that of the crack (m, signed).
+        pub at: f64,
+        /// Its length (m).
+        pub length: f64,
+        /// Slip (m).
+        pub slip: f64,
+        /// λ_n (Pa).
+        pub traction: f64,
+    }
+
+    /// All faces, ordered along the crack.
+    pub fn profile(mechanics: &Mechanics, state: &State) -> Vec<FaceResult> {
         let mesh = mechanics.mesh();
+        let geometry = mesh.geometry();
         let along = Vec3::new(ANGLE.cos(), ANGLE.sin(), 0.0);
         let jump = state.jump(mechanics.space());
         let mut profile: Vec<_> = (mesh.network().faces.iter().enumerate())
-            .map(|(i, &face)| {
-                let at = mesh.geometry().face_center[face].dot(along);
-                [at, jump[2 * i + 1].abs(), state.multiplier[2 * i]]
+            .map(|(i, &face)| FaceResult {
+                at: geometry.face_center[face].dot(along),
+                length: geometry.face_measure[face],
+                slip: jump[2 * i + 1].abs(),
+                traction: state.multiplier[2 * i],
             })
             .collect();
-        profile.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        profile.sort_by(|a, b| a.at.total_cmp(&b.at));
         profile
     }
 
-    /// Relative L² errors of slip and of λ_n, the latter without 5 % of the crack at each tip, by the values at the
-    /// faces' middles.
-    pub fn errors(profile: &[[f64; 3]]) -> [f64; 2] {
-        let ratio = |pairs: &mut dyn Iterator<Item = (f64, f64)>| {
-            let (mut error, mut size) = (0.0, 0.0);
-            for (found, exact) in pairs {
-                error += (found - exact).powi(2);
-                size += exact.powi(2);
-            }
-            (error / size).sqrt()
-        };
-        let inner = profile.iter().filter(|p| p[0].abs() < 0.9 * HALF_LENGTH);
-        [ratio(&mut profile.iter().map(|p| (p[1], slip(p[0])))), ratio(&mut inner.map(|p| (p[2], normal_multiplier())))]
+    /// Relative errors in L²(crack).
+    #[derive(Clone, Copy, Debug)]
+    pub struct Errors {
+        /// Of the slip, by the values at the faces' middles.
+        pub slip: f64,
+        /// Of the slip as a piecewise constant function.
+        pub slip_function: f64,
+        /// The least that any piecewise constant function has: that of the exact means over the faces.
+        pub slip_least: f64,
+        /// Of λ_n without 5 % of the crack at each tip.
+        pub traction: f64,
+    }
+
+    /// Errors of a solution.
+    pub fn errors(profile: &[FaceResult]) -> Errors {
+        // ∫ √(ℓ² − x²), in units of ℓ.
+        let primitive = |x: f64| 0.5 * (x * (1.0 - x * x).sqrt() + x.asin());
+        let total = slip(0.0).powi(2) * 4.0 / 3.0 * HALF_LENGTH;
+        let (mut at_middles, mut middles, mut of_means, mut means) = (0.0, 0.0, 0.0, 0.0);
+        for face in profile {
+            let exact = slip(face.at);
+            at_middles += face.length * (face.slip - exact).powi(2);
+            middles += face.length * exact.powi(2);
+            let [a, b] = [-0.5, 0.5].map(|e| ((face.at + e * face.length) / HALF_LENGTH).clamp(-1.0, 1.0));
+            let mean = slip(0.0) * HALF_LENGTH / face.length * (primitive(b) - primitive(a));
+            of_means += face.length * (face.slip - mean).powi(2);
+            means += face.length * mean.powi(2);
+        }
+        let inner = profile.iter().filter(|face| face.at.abs() < 0.9 * HALF_LENGTH);
+        let (error, size) = inner.fold((0.0, 0.0), |(error, size), face| {
+            (error + face.length * (face.traction / normal_multiplier() - 1.0).powi(2), size + face.length)
+        });
+        Errors {
+            slip: (at_middles / middles).sqrt(),
+            slip_function: ((total - means + of_means) / total).sqrt(),
+            slip_least: ((total - means) / total).sqrt(),
+            traction: (error / size).sqrt(),
+        }
     }
 }
 

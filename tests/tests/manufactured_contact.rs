@@ -1,8 +1,7 @@
 //! C1: orders of frictionless contact with a manufactured solution: 1 for ∇u and λ (Droniou, Haidar, Masson, arXiv 2404.03045),
 //! 2 for u.
 //!
-//! ∇u and λ have their orders on small meshes. That of u rises towards 2, and is there at sizes of a test on tetrahedra only:
-//! the command `mechanics-study manufactured` shows the rest (1.91 on 32³ boxes).
+//! That of u rises towards 2 as levels become finer: the command `mechanics-study manufactured` shows more of them.
 
 use tests::contact_cases::{manufactured, solve_dry};
 use tests::norms::orders;
@@ -31,29 +30,37 @@ fn check(family: &str, levels: [usize; 3], iterations: [usize; 3]) -> Vec<f64> {
 
 #[test]
 fn cartesian_boxes() {
-    let u = check("Cartesian", [8, 12, 16], [6, 7, 9]);
-    assert!(u[0] < u[1] && u[1] < 2.1, "{u:?}");
+    let u = check("Cartesian", [8, 12, 16], [5, 6, 8]);
+    assert!(u.iter().all(|o| *o >= 1.95), "{u:?}");
 }
 
 #[test]
 fn perturbed_hexahedra() {
-    let u = check("perturbed hexahedra", [8, 12, 16], [7, 8, 10]);
-    assert!(u[0] < u[1] && u[1] < 2.1, "{u:?}");
+    let u = check("perturbed hexahedra", [8, 12, 16], [6, 6, 7]);
+    assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
 }
 
 #[test]
 fn tetrahedra() {
-    let u = check("tetrahedra", [8, 12, 16], [11, 13, 17]);
+    let u = check("tetrahedra", [8, 12, 16], [7, 12, 12]);
     assert!(u[0] < u[1] && u[1] >= 1.9, "{u:?}");
 }
 
 #[test]
 fn dual_polyhedra() {
-    let u = check("dual polyhedra", [8, 10, 12], [8, 9, 10]);
-    assert!(u[0] < u[1] && u[1] < 2.1, "{u:?}");
+    let u = check("dual polyhedra", [8, 10, 12], [6, 8, 8]);
+    assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
+}
+
+/// Agglomerates differ in shape from level to level, and the order of one pair with them.
+#[test]
+fn agglomerated_tetrahedra() {
+    let u = check("agglomerated tetrahedra", [8, 12, 16], [5, 7, 9]);
+    assert!(u[0] < u[1] && u[1] >= 1.9, "{u:?}");
 }
 
 #[test]
-fn agglomerated_tetrahedra() {
-    check("agglomerated tetrahedra", [8, 12, 16], [6, 8, 10]);
+fn prisms_over_polygons() {
+    let u = check("prisms over polygons", [8, 12, 16], [6, 8, 10]);
+    assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
 }

@@ -1,6 +1,7 @@
 //! Identities of the local operators on every cell of the zoo.
 
 use mechanics_fmu::{Bubbles, Space};
+use mesh::generate::cartesian;
 use mesh::{Mesh, Side, Vec3};
 
 use crate::common::{BOTH, animals};
@@ -176,5 +177,37 @@ fn bubbles_follow_from_jumps() {
                 }
             }
         }
+    }
+}
+
+/// The stabilisation gives a square or cube the shear energy of ξη c as a bi- or trilinear function, in the mean over the
+/// directions of c (by Gauss' rule with two points a direction, which is exact).
+#[test]
+fn the_stabilisation_of_a_cube_is_that_of_trilinear_functions() {
+    let (size, mu) = (0.3, 7e9);
+    for dim in [2, 3] {
+        let cells = if dim == 2 { [1, 1, 0] } else { [1; 3] };
+        let mesh = Mesh::new(cartesian(Vec3::ZERO, Vec3::splat(size), cells)).unwrap();
+        let operators = Space::new(&mesh, Bubbles::OneSided).operators(&mesh, 0);
+        let stiffness = operators.stiffness(dim, 0.0, mu, 0.0);
+        let center = mesh.geometry().cell_center[0];
+        let value = |x: Vec3| (x.x - center.x) * (x.y - center.y);
+        let n = operators.vertex_count;
+        let u: Vec<f64> = mesh.cell_vertices(0).iter().map(|&v| value(mesh.vertices()[v])).collect();
+        let entry = |i: usize, j: usize, c: usize| stiffness[(i * dim + c) * n * dim + j * dim + c];
+        let direction = |c: usize| (0..n * n).map(|k| u[k / n] * u[k % n] * entry(k / n, k % n, c)).sum::<f64>();
+        let found = (0..dim).map(direction).sum::<f64>() / dim as f64;
+        let mut wanted = 0.0;
+        let points = 1 << dim;
+        for k in 0..points {
+            let at = |axis: usize| 0.5 * size / 3.0_f64.sqrt() * if k >> axis & 1 == 0 { 1.0 } else { -1.0 };
+            let gradient = Vec3::new(at(1), at(0), 0.0);
+            for c in 0..dim {
+                // 2μ ε:ε = μ (|∇ψ|² + (∂ψ/∂x_c)²) for u = ψ e_c.
+                let density = mu * (gradient.length_squared() + gradient[c].powi(2));
+                wanted += density * size.powi(dim as i32) / f64::from(points) / dim as f64;
+            }
+        }
+        assert!((found - wanted).abs() < 1e-12 * wanted, "{dim}D: {found}, not {wanted}");
     }
 }

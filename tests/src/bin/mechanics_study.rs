@@ -100,43 +100,65 @@ fn study_single_crack(output: &Path, largest: usize) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut errors: Vec<(String, Curve)> = Vec::new();
     let mut profiles = [const { Vec::<Series>::new() }; 2];
-    let cases: [(&str, f64, &[usize]); 2] =
-        [("320 m, load", 320.0, &[50, 100, 200, 400, 800]), ("40 m, exact field", 40.0, &[40, 80, 160, 320])];
-    for (name, side, sizes) in cases {
+    let loaded: &[usize] = &[50, 100, 200, 400, 800];
+    let exact: &[usize] = &[40, 80, 160, 320];
+    use Bubbles::{OneSided, TwoSided};
+    let cases = [
+        ("320 m, load", "triangles", OneSided, loaded),
+        ("40 m, exact field", "triangles", OneSided, exact),
+        ("40 m, exact field", "triangles", TwoSided, exact),
+        ("40 m, exact field", "polygons", OneSided, exact),
+        ("40 m, exact field", "polygons", TwoSided, exact),
+    ];
+    for (domain, cells, bubbles, sizes) in cases {
+        let is_loaded = domain.starts_with("320");
+        let name = format!("{domain}, {cells}, {}", side(bubbles));
         let mut curves = [const { Curve::new() }; 2];
         for &faces in sizes.iter().filter(|&&f| f <= largest) {
-            let mesh = Arc::new(single_crack::triangles(side, faces, single_crack::growth(faces)));
-            let cells = mesh.cell_count();
+            let make = if cells == "triangles" { single_crack::triangles } else { single_crack::polygons };
+            let extent = if is_loaded { 320.0 } else { 40.0 };
+            let mesh = Arc::new(make(extent, faces, single_crack::growth(faces)));
+            let count = mesh.cell_count();
             let clock = Instant::now();
-            let model = if side < 100.0 { single_crack::model_in_exact_field() } else { single_crack::model(side) };
+            let mut model = if is_loaded { single_crack::model(extent) } else { single_crack::model_in_exact_field() };
+            model.bubbles = bubbles;
             let (mechanics, state, report) = solve_dry(mesh, model);
             let seconds = clock.elapsed().as_secs_f64();
             let profile = single_crack::profile(&mechanics, &state);
             let h = 2.0 * single_crack::HALF_LENGTH / faces as f64;
-            let mut row = vec![name.to_owned(), faces.to_string(), cells.to_string()];
-            for (curve, error) in curves.iter_mut().zip(single_crack::errors(&profile)) {
+            let e = single_crack::errors(&profile);
+            let mut row: Vec<String> = [domain, cells, side(bubbles)].map(str::to_owned).into();
+            row.extend([profile.len().to_string(), count.to_string()]);
+            for (curve, error) in curves.iter_mut().zip([e.slip, e.traction]) {
                 row.extend([format!("{error:.3e}"), order(curve.last().copied(), h, error)]);
                 curve.push((h, error));
             }
+            row.extend([e.slip_function, e.slip_least].map(|error| format!("{error:.3e}")));
             row.extend([report.newton.iterations.to_string(), format!("{seconds:.1}")]);
             rows.push(row);
-            if side > 100.0 && [100, 400].contains(&faces) {
+            if is_loaded && [100, 400].contains(&faces) {
                 for (k, series) in profiles.iter_mut().enumerate() {
-                    let scale = [1e3, 1e-6][k];
-                    let points = profile.iter().map(|p| (p[0], scale * p[k + 1])).collect();
+                    let value = |f: &single_crack::FaceResult| [1e3 * f.slip, 1e-6 * f.traction][k];
+                    let points = profile.iter().map(|f| (f.at, value(f))).collect();
                     series.push((format!("{faces} faces"), points).into());
                 }
             }
         }
         for (what, curve) in ["slip", "traction"].into_iter().zip(curves) {
-            errors.push((format!("{what}, {name}"), curve));
+            errors.push((format!("{what}: {name}"), curve));
         }
     }
-    let head = ["domain", "faces", "cells", "slip", "order", "traction", "order", "Newton", "seconds"];
+    let head = [
+        "domain", "cells", "bubbles", "faces", "number", "slip", "order", "traction", "order", "slip, L2", "least",
+        "Newton", "seconds",
+    ];
     table(output, "single-crack", &head, &rows)?;
-    let mut series: Vec<Series> = errors.iter().cloned().map(Into::into).collect();
-    series.push(slope(1.0, &errors[0].1));
-    plot(output, "single-crack-errors", "A crack under compression", ["h (m)", "relative L2 error"], &series, true)?;
+    for (k, what) in ["slip", "traction"].into_iter().enumerate() {
+        let mut series: Vec<Series> = errors.iter().skip(k).step_by(2).cloned().map(Into::into).collect();
+        series.push(slope(1.0, &errors[k].1));
+        let (name, title) = (format!("single-crack-{what}-errors"), format!("A crack under compression: {what}"));
+        plot(output, &name, &title, ["h (m)", "relative L2 error"], &series, true)?;
+    }
     let along = |f: &dyn Fn(f64) -> f64| (0..=400).map(|k| f64::from(k) / 200.0 - 1.0).map(|x| (x, f(x))).collect();
     let exact: [Curve; 2] =
         [along(&|x| 1e3 * single_crack::slip(x)), along(&|_| 1e-6 * single_crack::normal_multiplier())];
@@ -147,6 +169,10 @@ fn study_single_crack(output: &Path, largest: usize) -> Outcome<()> {
         plot(output, &format!("single-crack-{name}"), title, ["distance from the middle (m)", axis], &series, false)?;
     }
     Ok(())
+}
+
+fn side(bubbles: Bubbles) -> &'static str {
+    if bubbles == Bubbles::OneSided { "one-sided" } else { "two-sided" }
 }
 
 fn study_network_3d(output: &Path, meshes: usize) -> Outcome<()> {
@@ -204,8 +230,8 @@ fn network(mesh: &Arc<Mesh>, model: Model, bubbles: Bubbles, rows: &mut Vec<Vec<
             .sum();
         curve.push((time, 1e3 * mean / measures));
         if k == STEPS / 2 || k == STEPS {
-            let side = if bubbles == Bubbles::OneSided { "one-sided" } else { "two-sided" };
-            let mut row = vec![mesh.cell_count().to_string(), mesh.network().face_count().to_string(), side.to_owned()];
+            let mut row = vec![mesh.cell_count().to_string(), mesh.network().face_count().to_string()];
+            row.push(side(bubbles).to_owned());
             row.push(format!("{time:.0}"));
             let states = [ContactState::Open, ContactState::Stick, ContactState::Slip];
             row.extend(states.map(|s| state.count(s).to_string()));
