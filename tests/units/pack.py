@@ -1,11 +1,12 @@
-"""Packs a unit in Python as an FMU: pack.py SOURCE.py FMU RESOURCE...
+"""Packs a unit in Python as an FMU: pack.py SOURCE.py FMU [--model MODEL OPTION...] [--add FILE]...
 
-Resources in HDF5 are packed as NumPy archives with the same entries.
+With a model, its description and mesh travel in the FMU; options are those of `orchestrator pack`. Files in HDF5 become
+NumPy archives with the same entries.
 """
 
-import shutil
+import argparse
+import os
 import subprocess
-import sys
 import sysconfig
 import tempfile
 import zipfile
@@ -17,9 +18,27 @@ from pythonfmu3 import FmuBuilder
 
 import mesh
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
 SHARED = [HERE / "arrays.py", HERE / "mesh.py"]
 PLATFORM = "binaries/x86_64-linux"
+
+
+def orchestrator():
+    """The program: that of the environment, or the one that was built last."""
+    built = [ROOT / "target" / profile / "orchestrator" for profile in ("debug", "release")]
+    built = sorted((path for path in built if path.exists()), key=lambda path: path.stat().st_mtime)
+    return os.environ.get("ORCHESTRATOR") or built[-1]
+
+
+def resources(model, options, folder):
+    """What a model gives to its units: `model.toml` and `mesh.h5` in `folder`."""
+    subprocess.run([orchestrator(), "pack", model, "--output", folder, *options], check=True, stdout=subprocess.DEVNULL)
+    (fmu,) = folder.glob("*flow.fmu")
+    with zipfile.ZipFile(fmu) as archive:
+        for name in ("model.toml", "mesh.h5"):
+            (folder / name).write_bytes(archive.read(f"resources/{name}"))
+    return [folder / "model.toml", folder / "mesh.h5"]
 
 
 def link(wrapper, target):
@@ -32,31 +51,44 @@ def link(wrapper, target):
     subprocess.run([*command, wrapper, Path(folder) / library], check=True)
 
 
-def pack(source, fmu, resources):
+def pack(source, fmu, files):
     """Writes `fmu` from the unit in `source`, under a temporary name first."""
-    with tempfile.TemporaryDirectory() as folder:
+    fmu.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=fmu.parent) as folder:
         folder = Path(folder)
-        for i, path in enumerate(resources):
+        added = [*SHARED]
+        for path in files:
             if path.suffix == ".h5":
-                resources[i] = folder / f"{path.stem}.npz"
-                np.savez(resources[i], **mesh.read(path))
-        options = dict(canGetAndSetFMUState=True, canSerializeFMUState=True, needsExecutionTool=True)
-        built = FmuBuilder.build_FMU(source, folder, [*SHARED, *resources], **options)
+                np.savez(folder / f"{path.stem}.npz", **mesh.read(path))
+                path = folder / f"{path.stem}.npz"
+            added.append(path)
+        options = dict(canGetAndSetFMUState=True, canSerializeFMUState=True)
+        built = FmuBuilder.build_FMU(source, folder, added, **options)
         wrapper = folder / "libpythonfmu-export.so"
         name = f"{PLATFORM}/{built.stem}.so"
-        with zipfile.ZipFile(built) as archive:
+        part = folder / "part.fmu"
+        with zipfile.ZipFile(built) as archive, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as whole:
             wrapper.write_bytes(archive.read(name))
             link(wrapper, folder / "library.so")
-            part = folder / "part.fmu"
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as whole:
-                for item in archive.namelist():
-                    if not item.startswith("binaries/"):
-                        whole.writestr(item, archive.read(item))
-                whole.write(wrapper, f"{PLATFORM}/{wrapper.name}")
-                whole.write(folder / "library.so", name)
-        fmu.parent.mkdir(parents=True, exist_ok=True)
-        shutil.move(part, fmu)
+            for item in archive.namelist():
+                if not item.startswith("binaries/"):
+                    whole.writestr(item, archive.read(item))
+            whole.write(wrapper, f"{PLATFORM}/{wrapper.name}")
+            whole.write(folder / "library.so", name)
+        part.replace(fmu)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("source", type=Path)
+    parser.add_argument("fmu", type=Path)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--add", type=Path, action="append", default=[])
+    arguments, options = parser.parse_known_args()
+    with tempfile.TemporaryDirectory() as folder:
+        own = resources(arguments.model, options, Path(folder)) if arguments.model else []
+        pack(arguments.source, arguments.fmu, [*own, *arguments.add])
 
 
 if __name__ == "__main__":
-    pack(Path(sys.argv[1]), Path(sys.argv[2]), [Path(name) for name in sys.argv[3:]])
+    main()

@@ -43,14 +43,32 @@ pub fn start(units: &mut [FmuUnit], model: &model::Model) -> Result<(), Coupling
         ("porosity_compliance.factor", sensitivity.matrix_compliance_factor),
         ("aperture_compliance.floor", sensitivity.fracture_compliance_floor_factor),
     ];
-    for unit in units {
+    for unit in &mut *units {
         for (name, value) in parameters.iter().filter(|(name, _)| unit.has(name)).collect::<Vec<_>>() {
             unit.set(name, &[value.0]).map_err(|error| fail(unit, error))?;
         }
         for (name, value) in model.units.get(unit.name()).map(|unit| &unit.parameters).into_iter().flatten() {
             unit.set_start(name, value).map_err(|error| fail(unit, error))?;
         }
+    }
+    // What mechanics has at the start belongs to the initial state of flow.
+    let mut deformation = Vec::new();
+    let mut order: Vec<_> = units.iter_mut().collect();
+    order.sort_by_key(|unit| unit.name() != "mechanics");
+    for unit in order {
+        if unit.name() == "flow" {
+            for (name, values) in deformation.iter().filter(|(name, _)| unit.has(name)).collect::<Vec<_>>() {
+                unit.set(name, values).map_err(|error| fail(unit, error))?;
+            }
+        }
         unit.initialise(model.time.start.0, model.time.end.0).map_err(|error| fail(unit, error))?;
+        if unit.name() == "mechanics" {
+            for name in ["matrix.porosity_change", "fracture.aperture"].into_iter().filter(|name| unit.has(name)) {
+                let mut values = Vec::new();
+                unit.get(name, &mut values).map_err(|error| fail(unit, error))?;
+                deformation.push((name, values));
+            }
+        }
     }
     Ok(())
 }
