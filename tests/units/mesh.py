@@ -6,15 +6,22 @@ import numpy as np
 
 
 def read(path):
-    """All datasets and attributes of an HDF5 file, by path.
+    """All datasets of an HDF5 file by their paths, and attributes as `path@name`.
 
     For the packing of units only: within the orchestrator h5py would meet another version of the HDF5 library.
     """
     import h5py
 
+    entries = {}
+
+    def add(name, item):
+        entries.update({f"{name}@{key}": value for key, value in item.attrs.items()})
+        if isinstance(item, h5py.Dataset):
+            entries[name] = item[()]
+
     with h5py.File(path) as file:
-        entries = dict(file.attrs)
-        file.visititems(lambda name, item: entries.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+        add("", file)
+        file.visititems(add)
     return entries
 
 
@@ -22,7 +29,7 @@ class Mesh:
     """Geometry and fracture network of a mesh of polygons. Lengths in m, areas in m²; arrays are in the order of the file."""
 
     def __init__(self, entries):
-        if entries["dimension"] != 2:
+        if entries["@dimension"] != 2:
             raise ValueError("the mesh must have two dimensions for this unit")
         names = (entries[entry].tobytes().decode().splitlines() for entry in ("regions", "tags", "fractures"))
         self.regions, self.tags, self.fractures = names

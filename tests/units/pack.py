@@ -20,7 +20,7 @@ import mesh
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-SHARED = [HERE / "arrays.py", HERE / "mesh.py"]
+SHARED = [HERE / name for name in ("arrays.py", "flow.py", "mesh.py")]
 PLATFORM = "binaries/x86_64-linux"
 
 

@@ -20,7 +20,6 @@ Such fluxes are consistent where the line between the points of neighbours is al
 `mesh.py` beside this file are made so. On any other mesh they are not: refining does not help.
 """
 
-import tomllib
 from itertools import combinations
 from pathlib import Path
 
@@ -29,38 +28,50 @@ from pythonfmu3 import Fmi3Slave
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from arrays import DISCARDED, DONE, Arrays
-from mesh import Mesh
+from flow import Flow
 
 
-class TwoPoint(Arrays, Fmi3Slave):
-    """The unit: variables at the start, then a time step for each call of `do_step`."""
+class TwoPoint(Flow, Fmi3Slave):
+    """The unit: the geometry of its fluxes at the start, then a time step for each call of `do_step`."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self.description = "Darcy flow in a fractured rock by two-point fluxes"
-        resources = Path(self.resources)
-        self.mesh = mesh = Mesh(np.load(resources / "mesh.npz"))
-        model = tomllib.loads((resources / "model.toml").read_text())
-        self._read(model)
+        mesh = self.mesh
 
-        cells, faces = np.ones(mesh.cell_count), np.ones(len(mesh.fracture_faces))
-        start = model["initial"]["pressure"]
-        # The interface: docs/interface.md.
-        self.output("matrix.pressure", "Pa", start * cells, "Pressure in the rock")
-        self.output("fracture.pressure", "Pa", start * faces, "Pressure in the fractures")
-        self.input("matrix.porosity_change", "1", 0 * cells, "Porosity caused by deformation")
-        self.input("fracture.aperture", "m", 1e-4 * faces, "Aperture; at the start, what the host sets before")
-        self.input("matrix.porosity_compliance", "1/Pa", 0 * cells, "d(porosity change)/d(pressure) of mechanics")
-        self.input("fracture.aperture_compliance", "m/Pa", 0 * faces, "d(aperture)/d(pressure) of mechanics")
-        self.input("matrix.pressure_reference", "Pa", start * cells, "Pressure at which mechanics was evaluated")
-        self.input("fracture.pressure_reference", "Pa", start * faces, "Pressure at which mechanics was evaluated")
-        self.text("mesh.fingerprint", mesh.fingerprint, "Hash of the mesh's topology and coordinates")
+        # Half transmissivities of the pairs (cell, face).
+        cell, face = mesh.pair_cell, mesh.pair_face
+        points = Path(self.resources) / "points.npy"
+        point = np.load(points) if points.exists() else mesh.cell_center
+        normal = mesh.face_normal[face]
+        distance = np.abs(np.sum(normal * (mesh.face_center[face] - point[cell]), axis=1))
+        along = np.einsum("pi,pij,pj->p", normal, self.permeability[cell], normal)
+        half = mesh.face_measure[face] * along / (self.viscosity * distance)
 
-    def exit_initialization_mode(self):
-        # What storage is counted from.
-        self.memory["porosity_change"] = self.values["matrix.porosity_change"]
-        self.memory["aperture"] = self.values["fracture.aperture"]
+        # Pairs that share a face; pairs on a fracture; pairs on the boundary where a pressure is held.
+        number = np.full(len(mesh.face_measure), -1)
+        number[mesh.fracture_faces] = np.arange(len(mesh.fracture_faces))
+        order = np.argsort(face, kind="stable")
+        same = np.flatnonzero(face[order][1:] == face[order][:-1])
+        a, b = order[same], order[same + 1]
+        inside = number[face[a]] < 0
+        a, b = a[inside], b[inside]
+        self.in_rock = cell[a], cell[b], half[a] * half[b] / (half[a] + half[b])
+        side = np.flatnonzero(number[face] >= 0)
+        self.on_fracture = cell[side], number[face[side]], half[side]
+        held_face = np.array([self.held.get(tag, np.nan) for tag in mesh.face_tag])
+        held = np.flatnonzero(~np.isnan(held_face[face]))
+        self.on_boundary = cell[held], half[held], held_face[face[held]]
+
+        # Ends of fracture faces: which faces meet there, and the pressure that is held, if any.
+        held_vertex = np.full(len(mesh.vertices), np.nan)
+        for f in np.flatnonzero(~np.isnan(held_face)):
+            held_vertex[mesh.face_vertices[f]] = held_face[f]
+        ends = {}
+        for i, f in enumerate(mesh.fracture_faces):
+            for vertex in mesh.face_vertices[f]:
+                ends.setdefault(vertex, []).append(i)
+        self.ends = [(faces, held_vertex[vertex]) for vertex, faces in sorted(ends.items())]
 
     def do_step(self, current_time, step_size):
         mesh, values, memory = self.mesh, self.values, self.memory
@@ -88,68 +99,7 @@ class TwoPoint(Arrays, Fmi3Slave):
         places = np.concatenate([n, first, second]), np.concatenate([n, second, first])
         solution = splu(coo_array((entries, places)).tocsc()).solve(source)
 
-        deformed = deformed + compliance * (solution - reference)
-        aperture = deformed[mesh.cell_count :]
-        if not (np.isfinite(solution).all() and (aperture > 0).all()):
-            # Nothing has changed; the host may try other inputs or a smaller time step.
-            self.log("an aperture is not positive", DISCARDED.status)
-            return DISCARDED
-        values["matrix.pressure"], values["fracture.pressure"] = np.split(solution, [mesh.cell_count])
-        memory["porosity_change"], memory["aperture"] = deformed[: mesh.cell_count], aperture
-        return DONE
-
-    def _read(self, model):
-        """What the model says of rock, fractures, fluid and boundary."""
-        mesh, flow = self.mesh, model["flow"]
-        unknown = [name for name in ("wells", "gravity", "matrix_source", "fracture_source") if flow.get(name)]
-        if unknown or "bulk_modulus" in flow["fluid"]:
-            raise ValueError(f"this unit knows no {', '.join(unknown) or 'compressible fluid'}")
-        self.viscosity = flow["fluid"]["viscosity"]
-        regions = [model["regions"][name] for name in mesh.regions]
-        tensors = np.array([tensor(region["permeability"]) for region in regions])[mesh.region]
-        self.storage = np.array([1 / region.get("biot_modulus", np.inf) for region in regions])[mesh.region]
-
-        # Half transmissivities of the pairs (cell, face).
-        cell, face = mesh.pair_cell, mesh.pair_face
-        points = Path(self.resources) / "points.npy"
-        point = np.load(points) if points.exists() else mesh.cell_center
-        normal = mesh.face_normal[face]
-        distance = np.abs(np.sum(normal * (mesh.face_center[face] - point[cell]), axis=1))
-        along = np.einsum("pi,pij,pj->p", normal, tensors[cell], normal)
-        half = mesh.face_measure[face] * along / (self.viscosity * distance)
-
-        # Pairs that share a face; pairs on a fracture; pairs on the boundary where a pressure is held.
-        number = np.full(len(mesh.face_measure), -1)
-        number[mesh.fracture_faces] = np.arange(len(mesh.fracture_faces))
-        order = np.argsort(face, kind="stable")
-        same = np.flatnonzero(face[order][1:] == face[order][:-1])
-        a, b = order[same], order[same + 1]
-        inside = number[face[a]] < 0
-        a, b = a[inside], b[inside]
-        self.in_rock = cell[a], cell[b], half[a] * half[b] / (half[a] + half[b])
-        side = np.flatnonzero(number[face] >= 0)
-        self.on_fracture = cell[side], number[face[side]], half[side]
-        given = {}
-        for name, boundary in flow.get("boundary", {}).items():
-            if boundary.keys() != {"pressure"} or not isinstance(boundary["pressure"], (int, float)):
-                raise ValueError(f"boundary {name}: this unit knows pressures that are numbers, and nothing else")
-            given[mesh.tags.index(name)] = boundary["pressure"]
-        held_face = np.array([given.get(tag, np.nan) for tag in mesh.face_tag])
-        held = np.flatnonzero(~np.isnan(held_face[face]))
-        self.on_boundary = cell[held], half[held], held_face[face[held]]
-
-        # Ends of fracture faces: which faces meet there, and the pressure that is held, if any.
-        held_vertex = np.full(len(mesh.vertices), np.nan)
-        for f in np.flatnonzero(~np.isnan(held_face)):
-            held_vertex[mesh.face_vertices[f]] = held_face[f]
-        ends = {}
-        for i, f in enumerate(mesh.fracture_faces):
-            for vertex in mesh.face_vertices[f]:
-                ends.setdefault(vertex, []).append(i)
-        self.ends = [(faces, held_vertex[vertex]) for vertex, faces in sorted(ends.items())]
-        names = [model["fractures"][name] for name in mesh.fractures]
-        conductivity = np.array([fracture["normal_permeability"] for fracture in names])
-        self.normal_permeability = conductivity[mesh.face_fracture[mesh.fracture_faces]]
+        return self.accept(*np.split(solution, [mesh.cell_count]))
 
     def _connections(self, aperture):
         """Pairs of unknowns (cells, then fracture faces) with their transmissivities; unknowns beside a held pressure."""
@@ -178,9 +128,3 @@ class TwoPoint(Arrays, Fmi3Slave):
             np.concatenate([to_held, end]),
             np.concatenate([held_pressure, end_pressure]),
         )
-
-
-def tensor(permeability):
-    """A permeability of the model as a 2 × 2 array: a number, a diagonal or all of it."""
-    values = np.array(permeability, dtype=float)
-    return values if values.ndim == 2 else np.diag(np.broadcast_to(values, 2))
