@@ -10,6 +10,7 @@ test: deps
 	cargo build $(PROGRAMS)
 	cargo test --workspace
 	tests/fmi/run
+	tests/units/run
 
 run: deps
 	cargo build --release $(PROGRAMS)

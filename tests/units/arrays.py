@@ -36,6 +36,8 @@ class Arrays(Fmi3SlaveBase):
         super().__init__(**kwargs)
         self.values, self.memory = {}, {}
         self.register_units([Unit(name, **base) for name, base in UNITS.items()])
+        time = dict(causality=Fmi3Causality.independent, variability=Fmi3Variability.continuous)
+        self.register_variable(Float64("time", unit="s", getter=lambda: 0.0, **time), nested=False)
 
     def input(self, name, unit, start, description):
         """An input; `start` is an array, or a number for a scalar."""

@@ -27,9 +27,8 @@ class Flow(Arrays):
         start = self.initial_pressure
         self.output("matrix.pressure", "Pa", start * cells, "Pressure in the rock")
         self.output("fracture.pressure", "Pa", start * faces, "Pressure in the fractures")
-        # At the start the host sets the aperture that mechanics has.
         self.input("matrix.porosity_change", "1", 0 * cells, "Porosity caused by deformation")
-        self.input("fracture.aperture", "m", 1e-4 * faces, "Hydraulic aperture")
+        self.input("fracture.aperture", "m", 0 * faces, "Hydraulic aperture; to be set before the start")
         # Needed for splits other than fixed strain and drained.
         self.input("matrix.porosity_compliance", "1/Pa", 0 * cells, "d(porosity change)/d(pressure) of mechanics")
         self.input("fracture.aperture_compliance", "m/Pa", 0 * faces, "d(aperture)/d(pressure) of mechanics")
@@ -38,6 +37,8 @@ class Flow(Arrays):
         self.text("mesh.fingerprint", mesh.fingerprint, "Hash of the mesh's topology and coordinates")
 
     def exit_initialization_mode(self):
+        if not (self.values["fracture.aperture"] > 0).all():
+            raise ValueError("fracture.aperture must be set, and positive, before the start")
         self.memory["porosity_change"] = self.values["matrix.porosity_change"]
         self.memory["aperture"] = self.values["fracture.aperture"]
 
