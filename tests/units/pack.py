@@ -7,6 +7,7 @@ NumPy archives with the same entries.
 import argparse
 import os
 import subprocess
+import sys
 import sysconfig
 import tempfile
 import zipfile
@@ -43,12 +44,16 @@ def resources(model, options, folder):
 
 def link(wrapper, target):
     """A library that brings Python along, and has the FMI functions of pythonfmu3's `wrapper` beside it."""
-    folder, library = (sysconfig.get_config_var(name) for name in ("LIBDIR", "INSTSONAME"))
-    define = [f'-DPYTHON_LIBRARY="{library}"', f'-DPYTHON_PACKAGES="{sysconfig.get_path("purelib")}"']
+    folder, name, system = (sysconfig.get_config_var(name) for name in ("LIBDIR", "INSTSONAME", "MULTIARCH"))
+    looked = [Path(folder) / name, Path(folder) / (system or "") / name]
+    library = next((path for path in looked if path.exists()), None)
+    if library is None:
+        sys.exit(f"Python's library is needed (Debian: libpython3.11), and is not in {looked[0]} or {looked[1]}")
+    define = [f'-DPYTHON_LIBRARY="{name}"', f'-DPYTHON_PACKAGES="{sysconfig.get_path("purelib")}"']
     include = Path(pythonfmu3.__file__).parent / "pythonfmu-export/src/fmi"
-    search = [f"-Wl,-rpath,{folder}", "-Wl,-rpath,$ORIGIN", "-Wl,--no-as-needed", "-Wl,-z,nodelete"]
+    search = [f"-Wl,-rpath,{library.parent}", "-Wl,-rpath,$ORIGIN", "-Wl,--no-as-needed", "-Wl,-z,nodelete"]
     command = ["cc", "-shared", "-fPIC", *define, f"-I{include}", "-o", target, HERE / "loader.c", *search]
-    subprocess.run([*command, wrapper, Path(folder) / library], check=True)
+    subprocess.run([*command, wrapper, library], check=True)
 
 
 def pack(source, fmu, files):

@@ -52,21 +52,25 @@ pub fn start(units: &mut [FmuUnit], model: &model::Model) -> Result<(), Coupling
         }
     }
     // What mechanics has at the start belongs to the initial state of flow.
-    let mut deformation = Vec::new();
+    let mut deformation: Vec<(&str, Vec<f64>)> = Vec::new();
     let mut order: Vec<_> = units.iter_mut().collect();
     order.sort_by_key(|unit| unit.name() != "mechanics");
     for unit in order {
         if unit.name() == "flow" {
-            for (name, values) in deformation.iter().filter(|(name, _)| unit.has(name)).collect::<Vec<_>>() {
-                unit.set(name, values).map_err(|error| fail(unit, error))?;
+            for (name, values) in &deformation {
+                if unit.has(name) {
+                    unit.set(name, values).map_err(|error| fail(unit, error))?;
+                }
             }
         }
         unit.initialise(model.time.start.0, model.time.end.0).map_err(|error| fail(unit, error))?;
         if unit.name() == "mechanics" {
-            for name in ["matrix.porosity_change", "fracture.aperture"].into_iter().filter(|name| unit.has(name)) {
-                let mut values = Vec::new();
-                unit.get(name, &mut values).map_err(|error| fail(unit, error))?;
-                deformation.push((name, values));
+            for name in ["matrix.porosity_change", "fracture.aperture"] {
+                if unit.has(name) {
+                    let mut values = Vec::new();
+                    unit.get(name, &mut values).map_err(|error| fail(unit, error))?;
+                    deformation.push((name, values));
+                }
             }
         }
     }
