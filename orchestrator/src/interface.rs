@@ -100,7 +100,8 @@ impl Interface {
         Self { coupled: 1, fields: Vec::new(), connections: Vec::new() }
     }
 
-    /// Leaves out the fields that neither unit has, as those on fractures where there are none.
+    /// Leaves out the fields that neither unit has, as those on fractures where there are none, and the sensitivities
+    /// that one of them lacks.
     ///
     /// # Errors
     /// [`CouplingError::Field`] where one unit has a field and the other does not.
@@ -116,11 +117,16 @@ impl Interface {
         }
         // Fields go with their partners: what is on fractures is there for both or neither.
         let number = |old: usize| kept[..old].iter().filter(|&&k| k).count();
+        let names: Vec<String> = self.fields.iter().map(|f| f.name.clone()).collect();
         let mut fields = self.fields;
         let mut keep = kept.iter();
         fields.retain(|_| keep.next() == Some(&true));
         for field in &mut fields {
-            field.sensitivity = field.sensitivity.take().filter(|s| kept[s.partner]);
+            let (giver, taker) = (&units[field.from], &units[1 - field.from]);
+            field.sensitivity = field.sensitivity.take().filter(|s| {
+                let reference = format!("{}_reference", names[s.partner]);
+                kept[s.partner] && giver.has(&s.variable) && taker.has(&s.variable) && taker.has(&reference)
+            });
             if let Some(sensitivity) = &mut field.sensitivity {
                 sensitivity.partner = number(sensitivity.partner);
             }
@@ -140,6 +146,22 @@ impl Interface {
     /// Numbers of the fields that a unit gives.
     pub(crate) fn given_by(&self, unit: usize) -> impl Iterator<Item = usize> + '_ {
         (0..self.fields.len()).filter(move |&f| self.fields[f].from == unit)
+    }
+}
+
+impl Scheme {
+    /// Without the sensitivities that the units do not both have. Tells whether one is missed.
+    pub(crate) fn fitted(mut self, interface: &Interface) -> (Self, bool) {
+        let mut misses = false;
+        for unit in 0..interface.coupled {
+            let mut own = interface.given_by(unit).map(|f| interface.fields[f].sensitivity.is_some()).peekable();
+            if self.connected[unit] && own.peek().is_some() {
+                let has: Vec<bool> = own.collect();
+                misses |= has.contains(&false);
+                self.connected[unit] = has.contains(&true);
+            }
+        }
+        (self, misses)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use model::{Acceleration, Coupling, Extrapolation, Norm, Refresh, Time};
+use model::{Acceleration, Coupling, Extrapolation, Norm, Number, Refresh, Time};
 
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
@@ -46,6 +46,30 @@ impl Settings {
             time: model.time.clone(),
             output_times: model.output.times.iter().map(|t| t.0).collect(),
         }
+    }
+}
+
+impl Settings {
+    /// Adapts the coupling to units that lack sensitivities which the split connects, and says how.
+    #[must_use]
+    pub fn fitted(mut self, interface: &Interface) -> (Self, Option<String>) {
+        let (scheme, misses) = self.scheme.fitted(interface);
+        self.scheme = scheme;
+        if !misses {
+            return (self, None);
+        }
+        let lacking = interface.fields.iter().filter(|f| f.sensitivity.is_none()).map(|f| f.name.as_str());
+        let mut note = format!(
+            "the units do not both have the sensitivities of {}: the split {:?} becomes {} there",
+            lacking.collect::<Vec<_>>().join(", "),
+            self.coupling.split,
+            if scheme.first == crate::FLOW { "fixed strain" } else { "drained" },
+        );
+        if self.coupling.acceleration == Acceleration::None && !self.coupling.loose {
+            self.coupling.acceleration = Acceleration::Aitken { initial: Number(0.5) };
+            note += ", with Aitken's relaxation";
+        }
+        (self, Some(note))
     }
 }
 
@@ -144,6 +168,11 @@ impl Run {
             accelerator: Accelerator::default(),
         });
         Ok(Self { units, interface, settings, control, state })
+    }
+
+    /// Whether [`checkpoint`](Self::checkpoint) works.
+    pub fn has_checkpoints(&self) -> bool {
+        self.units.iter().all(|unit| unit.can_serialise())
     }
 
     /// Everything needed to go on from here.

@@ -89,6 +89,11 @@ pub trait Unit {
     /// [`UnitError`].
     fn restore(&mut self) -> Result<(), UnitError>;
 
+    /// Whether [`serialise`](Self::serialise) and [`deserialise`](Self::deserialise) work.
+    fn can_serialise(&self) -> bool {
+        true
+    }
+
     /// The present state as bytes.
     ///
     /// # Errors
@@ -104,6 +109,11 @@ pub trait Unit {
     /// Newton iterations of the last time step, where it tells.
     fn newton_iterations(&mut self) -> Option<u64> {
         None
+    }
+
+    /// What it has said since the last call, where calls succeeded.
+    fn take_messages(&mut self) -> Vec<String> {
+        Vec::new()
     }
 
     /// ∂(output)/∂(input) · `seed` at the last time step; `None` where it has no derivatives.

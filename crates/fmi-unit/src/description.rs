@@ -86,6 +86,16 @@ impl UnitDefinition {
         UnitDefinition { name: name.to_owned(), exponents: [0; 8], factor: 1.0, offset: 0.0 }
     }
 
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Exponents of kg, m, s, A, K, mol, cd, rad.
+    pub fn exponents(&self) -> [i32; 8] {
+        self.exponents
+    }
+
     exponents! { kilogram 0; metre 1; second 2; ampere 3; kelvin 4; mole 5; candela 6; radian 7; }
 
     /// Value in base units = `factor` · value + `offset`.

@@ -1,9 +1,10 @@
 //! A model as the command line names it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use mesh::Mesh;
-use model::Document;
+use model::{Document, ForeignUnit};
 
 use super::error::CliError;
 
@@ -39,6 +40,13 @@ impl Case {
             data.map_err(|error| error.to_string())
         };
         Ok(self.document.mesh(&self.folder, &read)?)
+    }
+
+    /// Puts an FMU into a role.
+    pub(crate) fn put(&mut self, name: &str, fmu: PathBuf) {
+        let units = &mut self.document.model.units;
+        let parameters = units.remove(name).map_or_else(BTreeMap::new, |unit| unit.parameters);
+        units.insert(name.to_owned(), ForeignUnit { fmu, parameters });
     }
 
     /// The units that the model has.

@@ -197,9 +197,14 @@ impl Command {
                 }
             }
             Self::Run { model, output, overwrite, mechanics, flow, voice } => {
-                let case = model.load()?;
+                let mut case = model.load()?;
+                for (name, fmu) in [("flow", flow), ("mechanics", mechanics)] {
+                    if let Some(fmu) = fmu {
+                        case.put(name, fmu);
+                    }
+                }
                 let output = output.unwrap_or_else(|| PathBuf::from("results").join(&case.name));
-                run::run(&case, &output, overwrite, [flow, mechanics], voice.voice())?;
+                run::run(&case, &output, overwrite, voice.voice())?;
             }
             Self::Resume { folder, voice } => run::resume(&folder, voice.voice())?,
             Self::Verify { model } => return verify::verify(&model.load()?, &model.variant, &model.set),

@@ -1,6 +1,6 @@
 //! What a run says while it goes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -32,6 +32,8 @@ pub(crate) struct Progress {
     bar: ProgressBar,
     number: usize,
     names: Vec<String>,
+    /// Lines that units have said.
+    said: BTreeSet<String>,
 }
 
 impl Progress {
@@ -42,7 +44,7 @@ impl Progress {
             bar.set_style(style);
         }
         bar.enable_steady_tick(Duration::from_millis(200));
-        Self { voice, times: [time, end], bar, number, names }
+        Self { voice, times: [time, end], bar, number, names, said: BTreeSet::new() }
     }
 
     /// After a coupling iteration of the time step that ends at `end` (s).
@@ -88,6 +90,15 @@ impl Progress {
             Voice::Bar | Voice::Quiet => return Ok(()),
         };
         writeln!(io::stdout(), "{line}").map_err(CliError::Output)
+    }
+
+    /// Shows what a unit says, once.
+    pub(crate) fn message(&mut self, unit: &str, text: String) {
+        let line = format!("{unit}: {text}");
+        if self.voice != Voice::Quiet && !self.said.contains(&line) {
+            self.bar.suspend(|| eprintln!("{line}"));
+            self.said.insert(line);
+        }
     }
 
     /// Takes the bar away.

@@ -4,9 +4,10 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use coupling::{Role, Sizes};
 use mesh::Mesh;
 use model::Document;
-use orchestrator::fmi::{self, Fmu, FmuUnit};
+use orchestrator::fmi::{self, Fit, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
 use orchestrator::{Checkpoint, CouplingError, FLOW, Interface, MECHANICS, Run, Settings, StepRecord, Unit};
 use serde_json::json;
@@ -37,53 +38,69 @@ pub(crate) struct Started {
     units: Vec<Box<dyn Unit>>,
     pub(crate) interface: Interface,
     pub(crate) series: Series,
+    settings: Settings,
     versions: Vec<UnitVersion>,
+    /// How the run is adapted to its units.
+    notes: Vec<String>,
 }
 
-/// The FMUs of a model: `given` ones in place of flow and mechanics, those that the model names, and its own, which are
-/// packed into `folder`.
-pub(crate) fn fmus(
-    document: &Document,
-    mesh: &Mesh,
-    given: [Option<PathBuf>; 2],
-    folder: &Path,
-) -> Result<Fmus, CliError> {
+/// The FMUs of a model: those that it names, and its own, which are packed into `folder`.
+pub(crate) fn fmus(document: &Document, mesh: &Mesh, folder: &Path) -> Result<Fmus, CliError> {
     let model = &document.model;
-    let (mut fmus, mut own) = (Fmus::new(), Vec::new());
-    for ((name, given), is_own) in NAMES.into_iter().zip(given).zip([model.flow.is_some(), model.mechanics.is_some()]) {
-        let named = model.units.get(name).map(|unit| unit.fmu.clone());
-        if let Some(path) = given.or(named) {
-            fmus.push((name.to_owned(), path));
-        } else if is_own {
-            let path = folder.join(name).with_extension("fmu");
-            fmus.push((name.to_owned(), path.clone()));
-            own.push((name, path));
-        }
-    }
-    let further = model.units.iter().filter(|(name, _)| !NAMES.contains(&name.as_str()));
-    fmus.extend(further.map(|(name, unit)| (name.clone(), unit.fmu.clone())));
+    let path = |name: &str| folder.join(name).with_extension("fmu");
+    let is_own = |name: &&str| !model.units.contains_key(*name);
+    let own: Vec<(&str, PathBuf)> =
+        model.unit_names().into_iter().filter(is_own).map(|name| (name, path(name))).collect();
     pack::pack(document, mesh, &own)?;
-    Ok(fmus)
+    let fmu = |name: &str| model.units.get(name).map_or_else(|| path(name), |unit| unit.fmu.clone());
+    Ok(model.unit_names().into_iter().map(|name| (name.to_owned(), fmu(name))).collect())
 }
 
 /// Loads and initialises units.
 pub(crate) fn start(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<Started, CliError> {
     let model = &document.model;
-    let fmus = paths.iter().map(|(_, path)| Fmu::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let (mut fmus, mut problems, mut notes) = (Vec::new(), Vec::new(), Vec::new());
+    for (name, path) in paths {
+        let mut fmu = Fmu::open(path)?;
+        let role = [Role::Flow, Role::Mechanics].into_iter().find(|role| role.name() == name);
+        let fit = role.map_or_else(Fit::default, |role| fmu.fit(role, sizes(mesh)));
+        problems.extend(fit.problems.iter().map(|problem| format!("\n  {name}: {problem}")));
+        if !fmu.description().takes_any_step && model.time.adaptive.is_some() {
+            problems.push(format!("\n  {name}: it takes time steps of one size only, and those of the model adapt"));
+        }
+        fmus.push(fmu);
+    }
+    if !problems.is_empty() {
+        return Err(CliError::Unfit(format!("the units do not fit the model:{}", problems.concat())));
+    }
     let descriptions: Vec<_> =
         paths.iter().zip(&fmus).map(|((name, _), fmu)| (name.as_str(), fmu.description())).collect();
     let is_pair = paths.iter().filter(|(name, _)| NAMES.contains(&name.as_str())).count() == 2;
     let mut interface = if is_pair { Interface::poroelastic() } else { Interface::single() };
     interface.connections = fmi::connections(&model.connections, &interface, &descriptions)?;
-    let mut units = Vec::new();
-    for ((name, _), fmu) in paths.iter().zip(&fmus) {
-        let mut unit = fmu.instantiate(name)?;
-        check_mesh(&mut unit, mesh)?;
-        units.push(unit);
+    let make = |((name, _), fmu): (&(String, PathBuf), &Fmu)| fmu.instantiate(name);
+    let mut units = paths.iter().zip(&fmus).map(make).collect::<Result<Vec<_>, _>>()?;
+    fmi::start(&mut units, &interface, model)?;
+    let iterates = is_pair && !model.coupling.loose;
+    for (number, unit) in units.iter_mut().enumerate() {
+        check_mesh(unit, mesh)?;
+        let name = unit.name();
+        if iterates && number < interface.coupled && !unit.can_roll_back() {
+            notes.push(format!(
+                "{name} cannot go back: its time steps are done again from the start in every coupling iteration, which \
+                 takes time with the square of their number; --set coupling.loose=true does without"
+            ));
+        }
+        if !iterates && number < interface.coupled && !unit.can_serialise() {
+            notes.push(format!("the state of {name} cannot be kept: this run cannot be resumed once it is stopped"));
+        }
     }
-    fmi::start(&mut units, model)?;
-    let units: Vec<_> = units.into_iter().map(|unit| Box::new(unit) as Box<dyn Unit>).collect();
+    let coupled = interface.coupled;
+    let adapt = |(number, unit)| fmi::adapted(unit, !iterates && number < coupled);
+    let units: Vec<_> = units.into_iter().enumerate().map(adapt).collect();
     let interface = interface.with_criteria(&model.coupling.criteria).fitted(&units)?;
+    let (settings, note) = Settings::of(model).fitted(&interface);
+    notes.extend(note);
     let times = model.output.times.iter().map(|t| t.0).collect();
     let series = Series::new(&descriptions, &interface, mesh, times);
     let version = |(name, description): &(&str, &fmi::Description)| UnitVersion {
@@ -91,39 +108,35 @@ pub(crate) fn start(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<St
         version: format!("{}, token {}", description.model_name, description.token),
     };
     let versions = descriptions.iter().map(version).collect();
-    Ok(Started { units, interface, series, versions })
+    Ok(Started { units, interface, settings, series, versions, notes })
+}
+
+/// Sizes of arrays on a mesh.
+pub(crate) fn sizes(mesh: &Mesh) -> Sizes {
+    Sizes { cells: mesh.cell_count(), fracture_faces: mesh.network().face_count(), dim: mesh.dim() }
 }
 
 /// Refuses a unit that says it is on another mesh than the model.
 fn check_mesh(unit: &mut FmuUnit, mesh: &Mesh) -> Result<(), CliError> {
-    const FINGERPRINT: &str = "mesh.fingerprint";
-    if !unit.has(FINGERPRINT) {
-        return Ok(());
-    }
-    let name = unit.name().to_owned();
-    let found = unit.text(FINGERPRINT).map_err(|error| CouplingError::Unit { unit: name.clone(), error })?;
     let expected = mesh.fingerprint();
-    if found != expected {
-        return Err(CliError::Unfit(format!("{name} is on another mesh than the model: {found} and {expected}")));
+    match fmi::fingerprint(unit)? {
+        Some(found) if found != expected => {
+            let name = unit.name();
+            Err(CliError::Unfit(format!("{name} is on another mesh than the model: {found} and {expected}")))
+        }
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 impl Started {
     /// The run from its start.
-    pub(crate) fn run(self, document: &Document) -> Result<(Run, Series), CliError> {
-        Ok((Run::new(self.units, self.interface, Settings::of(&document.model))?, self.series))
+    pub(crate) fn run(self) -> Result<(Run, Series), CliError> {
+        Ok((Run::new(self.units, self.interface, self.settings)?, self.series))
     }
 }
 
-/// `orchestrator run`. `given` are FMUs in place of flow and mechanics.
-pub(crate) fn run(
-    case: &Case,
-    output: &Path,
-    overwrite: bool,
-    given: [Option<PathBuf>; 2],
-    voice: Voice,
-) -> Result<(), CliError> {
+/// `orchestrator run`.
+pub(crate) fn run(case: &Case, output: &Path, overwrite: bool, voice: Voice) -> Result<(), CliError> {
     // What would be found out at the end of the packing anyway.
     if !overwrite && std::fs::read_dir(output).is_ok_and(|mut list| list.next().is_some()) {
         return Err(ResultsError::Exists(output.to_owned()).into());
@@ -132,16 +145,19 @@ pub(crate) fn run(
     let mesh = timed(&mut parts, "mesh", || case.mesh())?;
     say(voice, &case.describe(&mesh))?;
     let temporary = pack::temporary("fmus-")?;
-    let paths = timed(&mut parts, "packing", || fmus(&case.document, &mesh, given, temporary.path()))?;
+    let paths = timed(&mut parts, "packing", || fmus(&case.document, &mesh, temporary.path()))?;
     let mut started = timed(&mut parts, "start of the units", || start(&paths, &case.document, &mesh))?;
     let (variants, changes) = (as_strs(&case.variants), as_strs(&case.changes));
     let versions = started.versions.clone();
-    let manifest = Manifest::new(&case.name, &case.document, &variants, &changes, &mesh, &started.interface, versions);
+    let mut manifest =
+        Manifest::new(&case.name, &case.document, &variants, &changes, &mesh, &started.interface, versions);
+    manifest.notes.clone_from(&started.notes);
+    started.notes.iter().try_for_each(|note| say(voice, &format!("note: {note}")))?;
     let snapshot = started.series.snapshot(case.document.model.time.start.0, &mut started.units)?;
     let mut folder = Folder::create(output, &manifest, mesh, &snapshot, overwrite)?;
     keep(&paths, folder.path())?;
     drop(temporary);
-    let (run, series) = started.run(&case.document)?;
+    let (run, series) = started.run()?;
     drive(run, &series, &mut folder, voice, parts)
 }
 
@@ -158,10 +174,10 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
     let started = timed(&mut parts, "start of the units", || start(&paths, &document, folder.mesh()))?;
     let (run, series) = match &checkpoint {
         Some(checkpoint) => {
-            let Started { units, interface, series, .. } = started;
-            (Run::resume(units, interface, Settings::of(&document.model), checkpoint)?, series)
+            let Started { units, interface, settings, series, .. } = started;
+            (Run::resume(units, interface, settings, checkpoint)?, series)
         }
-        None => started.run(&document)?,
+        None => started.run()?,
     };
     drive(run, &series, &mut folder, voice, parts)
 }
@@ -190,11 +206,11 @@ fn kept(folder: &Folder, document: &Document, temporary: &Path) -> Result<Fmus, 
         let path = |name: &str| units.join(format!("{name}.fmu"));
         return Ok(manifest.units.iter().map(|unit| (unit.name.clone(), path(&unit.name))).collect());
     }
-    if manifest.command.iter().any(|word| NAMES.iter().any(|name| word.starts_with(&format!("--{name}")))) {
+    if !document.model.units.is_empty() {
         let reason = format!("{} has lost its units, which are not those of the model", folder.path().display());
         return Err(CliError::Unfit(reason));
     }
-    fmus(document, folder.mesh(), [None, None], temporary)
+    fmus(document, folder.mesh(), temporary)
 }
 
 fn timed<T>(parts: &mut Seconds, name: &str, act: impl FnOnce() -> Result<T, CliError>) -> Result<T, CliError> {
@@ -227,8 +243,14 @@ fn drive(mut run: Run, series: &Series, folder: &mut Folder, voice: Voice, mut p
                 let snapshot: Snapshot = series.of(&mut run)?;
                 folder.append(&record, &snapshot)?;
                 let clock = Instant::now();
-                folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
+                if run.has_checkpoints() {
+                    folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
+                }
                 checkpoints += clock.elapsed().as_secs_f64();
+                for unit in run.units() {
+                    let messages = unit.take_messages();
+                    messages.into_iter().for_each(|message| progress.message(unit.name(), message));
+                }
                 totals.add(&record);
                 progress.step(&record)?;
             }

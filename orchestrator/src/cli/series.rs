@@ -1,7 +1,7 @@
 //! What is read from the units after a time step.
 
 use mesh::Mesh;
-use orchestrator::fmi::{Causality, Description, VariableType};
+use orchestrator::fmi::{Causality, Description};
 use orchestrator::results::{Array, Scalar, Shape, Snapshot};
 use orchestrator::{CouplingError, Interface, Run, Unit};
 
@@ -33,9 +33,8 @@ impl Series {
         let mut series = Self { scalars: Vec::new(), arrays: Vec::new(), times };
         for (unit, &(unit_name, description)) in units.iter().enumerate() {
             for (variable, v) in &description.variables {
-                let is_number = matches!(v.ty, VariableType::Float64 | VariableType::Int64 | VariableType::UInt64);
                 let left_out = WORK.contains(&variable.as_str()) || sensitivities.contains(&variable.as_str());
-                if v.causality != Causality::Output || !is_number || left_out {
+                if v.causality != Causality::Output || !v.is_number() || left_out {
                     continue;
                 }
                 let is_output = |(_, d): &&(&str, &Description)| {

@@ -70,8 +70,8 @@ pub(crate) fn verify(case: &Case, variants: &[String], changes: &[String]) -> Re
 fn compare(case: &Case, rows: &[Row], say: &mut dyn FnMut(&str) -> Result<(), CliError>) -> Result<usize, CliError> {
     let mesh = case.mesh()?;
     let temporary = pack::temporary("fmus-")?;
-    let paths = fmus(&case.document, &mesh, [None, None], temporary.path())?;
-    let (mut run, series) = start(&paths, &case.document, &mesh)?.run(&case.document)?;
+    let paths = fmus(&case.document, &mesh, temporary.path())?;
+    let (mut run, series) = start(&paths, &case.document, &mesh)?.run()?;
     let (mut largest, mut wrong, mut checked) = (0, 0, 0);
     let mut claim = |holds: bool, text: String| {
         wrong += usize::from(!holds);

@@ -1,4 +1,5 @@
-//! The C functions of FMI 3.0 that are used (fmi3FunctionTypes.h), and the library that has them.
+//! Instances of FMUs behind their C functions, of FMI 3.0 and 2.0: what both versions have alike. What they have not is in
+//! `fmi3` and `fmi2`.
 
 #![allow(unsafe_code)]
 
@@ -9,30 +10,11 @@ use std::sync::{Mutex, PoisonError};
 
 use libloading::Library;
 
-type Handle = *mut c_void;
-type Log = Option<unsafe extern "C" fn(Handle, c_int, *const c_char, *const c_char)>;
-type Intermediate = Option<unsafe extern "C" fn(Handle, f64, bool, bool, bool, bool, bool, *mut bool, *mut f64)>;
-type Instantiate = unsafe extern "C" fn(
-    *const c_char,
-    *const c_char,
-    *const c_char,
-    bool,
-    bool,
-    bool,
-    bool,
-    *const u32,
-    usize,
-    Handle,
-    Log,
-    Intermediate,
-) -> Handle;
-type Call = unsafe extern "C" fn(Handle) -> c_int;
-type Get<T> = unsafe extern "C" fn(Handle, *const u32, usize, *mut T, usize) -> c_int;
-type Set<T> = unsafe extern "C" fn(Handle, *const u32, usize, *const T, usize) -> c_int;
-type Enter = unsafe extern "C" fn(Handle, bool, f64, f64, bool, f64) -> c_int;
-type DoStep = unsafe extern "C" fn(Handle, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> c_int;
-type Derivative =
-    unsafe extern "C" fn(Handle, *const u32, usize, *const u32, usize, *const f64, usize, *mut f64, usize) -> c_int;
+use super::description::{VariableType, Version};
+use super::{fmi2, fmi3};
+
+pub(crate) type Handle = *mut c_void;
+pub(crate) type Call = unsafe extern "C" fn(Handle) -> c_int;
 
 /// What a C function returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,54 +30,59 @@ pub(crate) enum Status {
 /// Messages of a unit, oldest first.
 pub(crate) type Messages = Mutex<Vec<String>>;
 
-/// An instance with the library it lives in. Dropping it frees both.
-pub(crate) struct Instance {
-    handle: Handle,
-    kept: Handle,
-    messages: Box<Messages>,
-    functions: Functions,
-    // Last: the functions are in it.
-    _library: Library,
-}
-
+/// Makes a struct of C functions, and its function `load`.
 macro_rules! functions {
-    ($($field:ident: $ty:ty = $name:literal;)*) => {
-        struct Functions { $($field: $ty,)* }
+    ($name:ident: $($field:ident: $ty:ty;)*) => {
+        pub(crate) struct $name { $(pub(crate) $field: $ty,)* }
 
-        impl Functions {
-            fn load(library: &Library) -> Result<Self, String> {
+        impl $name {
+            /// Looks up the functions by their names, in the order of the fields.
+            pub(crate) fn load(
+                library: &libloading::Library,
+                names: [&std::ffi::CStr; [$(stringify!($field)),*].len()],
+            ) -> Result<Self, String> {
+                let mut names = names.into_iter();
+                let mut next = || names.next().unwrap_or_default().to_bytes_with_nul();
                 // SAFETY: the types are those of the standard's header.
                 Ok(Self { $($field: unsafe {
-                    *library.get::<$ty>($name).map_err(|e| format!("the library lacks a function: {e}"))?
+                    *library.get::<$ty>(next()).map_err(|e| format!("the library lacks a function: {e}"))?
                 },)* })
             }
         }
     };
 }
+pub(crate) use functions;
 
-functions! {
-    instantiate: Instantiate = "fmi3InstantiateCoSimulation";
-    free: unsafe extern "C" fn(Handle) = "fmi3FreeInstance";
-    enter: Enter = "fmi3EnterInitializationMode";
-    exit: Call = "fmi3ExitInitializationMode";
-    terminate: Call = "fmi3Terminate";
-    get_f64: Get<f64> = "fmi3GetFloat64";
-    set_f64: Set<f64> = "fmi3SetFloat64";
-    get_i64: Get<i64> = "fmi3GetInt64";
-    get_u64: Get<u64> = "fmi3GetUInt64";
-    get_i32: Get<i32> = "fmi3GetInt32";
-    get_string: Get<*const c_char> = "fmi3GetString";
-    do_step: DoStep = "fmi3DoStep";
-    get_state: unsafe extern "C" fn(Handle, *mut Handle) -> c_int = "fmi3GetFMUState";
-    set_state: unsafe extern "C" fn(Handle, Handle) -> c_int = "fmi3SetFMUState";
-    free_state: unsafe extern "C" fn(Handle, *mut Handle) -> c_int = "fmi3FreeFMUState";
-    state_size: unsafe extern "C" fn(Handle, Handle, *mut usize) -> c_int = "fmi3SerializedFMUStateSize";
-    serialise: unsafe extern "C" fn(Handle, Handle, *mut u8, usize) -> c_int = "fmi3SerializeFMUState";
-    deserialise: unsafe extern "C" fn(Handle, *const u8, usize, *mut Handle) -> c_int = "fmi3DeserializeFMUState";
-    derivative: Derivative = "fmi3GetDirectionalDerivative";
+functions! { Common:
+    free: unsafe extern "C" fn(Handle);
+    terminate: Call;
+    get_state: unsafe extern "C" fn(Handle, *mut Handle) -> c_int;
+    set_state: unsafe extern "C" fn(Handle, Handle) -> c_int;
+    free_state: unsafe extern "C" fn(Handle, *mut Handle) -> c_int;
+    state_size: unsafe extern "C" fn(Handle, Handle, *mut usize) -> c_int;
+    serialise: unsafe extern "C" fn(Handle, Handle, *mut u8, usize) -> c_int;
+    deserialise: unsafe extern "C" fn(Handle, *const u8, usize, *mut Handle) -> c_int;
 }
 
-fn status(code: c_int) -> Status {
+/// What the two versions have each in its own way. `handle` is always that of a live instance.
+pub(crate) trait Driver {
+    /// Through initialisation.
+    fn initialise(&self, handle: Handle, start: f64, stop: f64) -> Status;
+    /// Values of variables of one type; numbers and truth values become `f64`.
+    fn get(&self, handle: Handle, ty: VariableType, references: &[u32], values: &mut [f64]) -> Status;
+    /// The other way round.
+    fn set(&self, handle: Handle, ty: VariableType, references: &[u32], values: &[f64]) -> Status;
+    /// A text; null where there is none. It lives until the next call.
+    fn get_text(&self, handle: Handle, reference: u32, text: &mut *const c_char) -> Status;
+    /// Sets a text.
+    fn set_text(&self, handle: Handle, reference: u32, text: &CStr) -> Status;
+    /// A time step; tells whether the unit wants the simulation to end.
+    fn step(&self, handle: Handle, time: f64, step: f64) -> (Status, bool);
+    /// Directional derivative.
+    fn derivative(&self, handle: Handle, unknown: &[u32], known: &[u32], seed: &[f64], result: &mut [f64]) -> Status;
+}
+
+pub(crate) fn status(code: c_int) -> Status {
     match code {
         0 | 1 => Status::Ok,
         2 => Status::Discard,
@@ -103,114 +90,143 @@ fn status(code: c_int) -> Status {
     }
 }
 
-/// Keeps a message. Called by the unit, maybe from another thread.
-unsafe extern "C" fn log(environment: Handle, code: c_int, _category: *const c_char, message: *const c_char) {
-    if environment.is_null() || message.is_null() || status(code) == Status::Ok {
+/// Keeps a message from a warning on.
+///
+/// # Safety
+/// `environment` is null or the messages of a live instance, `message` null or a C string.
+pub(crate) unsafe fn keep(environment: Handle, code: c_int, message: *const c_char) {
+    if environment.is_null() || message.is_null() || code == 0 {
         return;
     }
-    // SAFETY: the environment is the box of messages, which outlives the instance; the message is a C string.
+    // SAFETY: see above.
     let (messages, message) = unsafe { (&*environment.cast::<Messages>(), CStr::from_ptr(message)) };
     // `#` has a meaning in messages and is doubled where it stands for itself.
-    let message = message.to_string_lossy().replace("##", "#");
+    let message = message.to_string_lossy().trim().replace("##", "#");
     messages.lock().unwrap_or_else(PoisonError::into_inner).push(message);
+}
+
+pub(crate) fn string(text: &str) -> Result<CString, String> {
+    CString::new(text).map_err(|_| format!("{text:?} holds a NUL"))
+}
+
+/// Loads a library. One that leaves the functions of Python to its host, as those that are made with pythonfmu3, is
+/// loaded after the shared library of `python3`, or of the program that `ORCHESTRATOR_PYTHON` names.
+fn load(path: &Path) -> Result<Library, String> {
+    // SAFETY: loading runs the library's initialisers: an FMU is code that the user chose to run.
+    #[cfg(unix)]
+    let library = unsafe {
+        use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
+        let open = || Library::open(Some(path), RTLD_NOW | RTLD_LOCAL);
+        match open() {
+            Err(error) if error.to_string().contains("undefined symbol: Py") || error.to_string().contains("_Py") => {
+                let python =
+                    python_library().map_err(|reason| format!("its library needs that of Python: {reason}"))?;
+                let python = Library::open(Some(&python), RTLD_NOW | RTLD_GLOBAL).map_err(|e| e.to_string())?;
+                // Python does not bear to be unloaded.
+                std::mem::forget(python);
+                open()
+            }
+            other => other,
+        }
+    };
+    #[cfg(not(unix))]
+    // SAFETY: as above.
+    let library = unsafe { libloading::Library::new(path) };
+    library.map(Library::from).map_err(|e| format!("its library cannot be loaded: {e}"))
+}
+
+/// Where the shared library of Python is.
+#[cfg(unix)]
+fn python_library() -> Result<std::path::PathBuf, String> {
+    const QUESTION: &str =
+        "import sysconfig as s; print(s.get_config_var('LIBDIR') + '/' + s.get_config_var('INSTSONAME'))";
+    let program = std::env::var_os("ORCHESTRATOR_PYTHON").unwrap_or_else(|| "python3".into());
+    let shown = program.to_string_lossy().into_owned();
+    let output = std::process::Command::new(&program).args(["-c", QUESTION]).output();
+    let output = output.map_err(|e| format!("{shown}: {e} (ORCHESTRATOR_PYTHON names another)"))?;
+    let path = std::path::PathBuf::from(String::from_utf8_lossy(&output.stdout).trim());
+    if output.status.success() && path.extension().is_none_or(|e| e != "a") && path.is_file() {
+        Ok(path)
+    } else {
+        Err(format!("{shown} has no shared library (ORCHESTRATOR_PYTHON names another)"))
+    }
+}
+
+/// An instance with the library it lives in. Dropping it frees both.
+pub(crate) struct Instance {
+    handle: Handle,
+    kept: Handle,
+    messages: Box<Messages>,
+    functions: Common,
+    driver: Box<dyn Driver>,
+    // Last: the functions are in it.
+    _library: Library,
 }
 
 impl Instance {
     /// Loads the library and makes an instance.
-    pub(crate) fn new(library: &Path, name: &str, token: &str, resources: &Path) -> Result<Self, String> {
-        // SAFETY: loading runs the library's initialisers: an FMU is code that the user chose to run.
-        let library = unsafe { Library::new(library) }.map_err(|e| format!("its library cannot be loaded: {e}"))?;
-        let functions = Functions::load(&library)?;
-        let string = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
-        // The standard wants the path to end with a separator.
-        let resources = format!("{}{}", resources.display(), std::path::MAIN_SEPARATOR);
-        let (name, token, resources) = (string(name)?, string(token)?, string(&resources)?);
+    pub(crate) fn new(
+        version: Version,
+        library: &Path,
+        name: &str,
+        token: &str,
+        resources: &Path,
+    ) -> Result<Self, String> {
+        let library = load(library)?;
         let messages: Box<Messages> = Box::default();
         let environment = ptr::from_ref::<Messages>(&messages).cast_mut().cast();
-        // SAFETY: strings and environment live through the call, the environment as long as the instance.
-        let handle = unsafe {
-            (functions.instantiate)(
-                name.as_ptr(),
-                token.as_ptr(),
-                resources.as_ptr(),
-                false,
-                // Logging: the reasons of discarded steps are wanted.
-                true,
-                false,
-                false,
-                ptr::null(),
-                0,
-                environment,
-                Some(log),
-                None,
-            )
-        };
-        let instance = Self { handle, kept: ptr::null_mut(), messages, functions, _library: library };
+        let (name, token) = (string(name)?, string(token)?);
+        let open = if version == Version::Two { fmi2::open } else { fmi3::open };
+        let (handle, functions, driver) = open(&library, &name, &token, resources, environment)?;
+        let instance = Self { handle, kept: ptr::null_mut(), messages, functions, driver, _library: library };
         if handle.is_null() { Err(format!("no instance: {}", instance.take_messages())) } else { Ok(instance) }
     }
 
     /// What the unit has said since the last call.
     pub(crate) fn take_messages(&self) -> String {
-        std::mem::take(&mut *self.messages.lock().unwrap_or_else(PoisonError::into_inner)).join("; ")
+        self.take_list().join("; ")
+    }
+
+    pub(crate) fn take_list(&self) -> Vec<String> {
+        std::mem::take(&mut *self.messages.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     pub(crate) fn initialise(&mut self, start: f64, stop: f64) -> Status {
-        // SAFETY: the handle is that of a live instance, here and below.
-        match status(unsafe { (self.functions.enter)(self.handle, false, 0.0, start, true, stop) }) {
-            Status::Ok => status(unsafe { (self.functions.exit)(self.handle) }),
-            failed => failed,
-        }
+        self.driver.initialise(self.handle, start, stop)
     }
 
-    pub(crate) fn get_f64(&mut self, reference: u32, values: &mut [f64]) -> Status {
-        self.get(self.functions.get_f64, reference, values)
+    /// Values of a variable: one reference of an array, or one for each entry.
+    pub(crate) fn get(&mut self, ty: VariableType, references: &[u32], values: &mut [f64]) -> Status {
+        self.driver.get(self.handle, ty, references, values)
     }
 
-    pub(crate) fn get_i64(&mut self, reference: u32, values: &mut [i64]) -> Status {
-        self.get(self.functions.get_i64, reference, values)
+    pub(crate) fn set(&mut self, ty: VariableType, references: &[u32], values: &[f64]) -> Status {
+        self.driver.set(self.handle, ty, references, values)
     }
 
-    pub(crate) fn get_u64(&mut self, reference: u32, values: &mut [u64]) -> Status {
-        self.get(self.functions.get_u64, reference, values)
+    pub(crate) fn get_text(&mut self, reference: u32) -> Result<String, Status> {
+        let mut text = ptr::null();
+        ok(self.driver.get_text(self.handle, reference, &mut text))?;
+        // SAFETY: null or a C string that lives until the next call.
+        Ok(if text.is_null() { String::new() } else { unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned() })
     }
 
-    pub(crate) fn get_i32(&mut self, reference: u32, values: &mut [i32]) -> Status {
-        self.get(self.functions.get_i32, reference, values)
-    }
-
-    fn get<T>(&mut self, function: Get<T>, reference: u32, values: &mut [T]) -> Status {
-        // SAFETY: one reference, and as many values as is said.
-        status(unsafe { function(self.handle, &raw const reference, 1, values.as_mut_ptr(), values.len()) })
-    }
-
-    pub(crate) fn get_string(&mut self, reference: u32) -> Result<String, Status> {
-        let mut value = [ptr::null()];
-        match self.get(self.functions.get_string, reference, &mut value) {
-            Status::Ok if value[0].is_null() => Ok(String::new()),
-            // SAFETY: a C string that lives until the next call.
-            Status::Ok => Ok(unsafe { CStr::from_ptr(value[0]) }.to_string_lossy().into_owned()),
-            failed => Err(failed),
-        }
-    }
-
-    pub(crate) fn set_f64(&mut self, reference: u32, values: &[f64]) -> Status {
-        // SAFETY: one reference, and as many values as is said.
-        status(unsafe { (self.functions.set_f64)(self.handle, &raw const reference, 1, values.as_ptr(), values.len()) })
+    pub(crate) fn set_text(&mut self, reference: u32, text: &str) -> Result<Status, String> {
+        Ok(self.driver.set_text(self.handle, reference, &string(text)?))
     }
 
     /// Does a time step; tells whether the unit wants the simulation to end.
     pub(crate) fn step(&mut self, time: f64, step: f64) -> (Status, bool) {
-        let (mut event, mut terminate, mut early, mut last) = (false, false, false, time);
-        // SAFETY: four places for results. Earlier states may be restored.
-        let code = unsafe {
-            (self.functions.do_step)(self.handle, time, step, false, &mut event, &mut terminate, &mut early, &mut last)
-        };
-        (status(code), terminate)
+        self.driver.step(self.handle, time, step)
+    }
+
+    pub(crate) fn derivative(&mut self, unknown: &[u32], known: &[u32], seed: &[f64], result: &mut [f64]) -> Status {
+        self.driver.derivative(self.handle, unknown, known, seed, result)
     }
 
     /// Keeps the present state in place of the one kept before.
     pub(crate) fn save(&mut self) -> Status {
-        // SAFETY: the kept state is null or one of this instance.
+        // SAFETY: the kept state is null or one of this instance, which is live, here and below.
         status(unsafe { (self.functions.get_state)(self.handle, &mut self.kept) })
     }
 
@@ -224,7 +240,7 @@ impl Instance {
         let mut state = ptr::null_mut();
         // SAFETY: a new state of this instance, which is freed below; the bytes have the size that was asked for.
         unsafe {
-            ok((self.functions.get_state)(self.handle, &mut state))?;
+            ok(status((self.functions.get_state)(self.handle, &mut state)))?;
             let mut size = 0;
             let mut bytes = Vec::new();
             let mut code = (self.functions.state_size)(self.handle, state, &mut size);
@@ -233,7 +249,7 @@ impl Instance {
                 code = (self.functions.serialise)(self.handle, state, bytes.as_mut_ptr(), size);
             }
             (self.functions.free_state)(self.handle, &mut state);
-            ok(code).map(|()| bytes)
+            ok(status(code)).map(|()| bytes)
         }
     }
 
@@ -241,36 +257,16 @@ impl Instance {
         let mut state = ptr::null_mut();
         // SAFETY: a new state of this instance, which is freed below.
         unsafe {
-            ok((self.functions.deserialise)(self.handle, bytes.as_ptr(), bytes.len(), &mut state))?;
+            ok(status((self.functions.deserialise)(self.handle, bytes.as_ptr(), bytes.len(), &mut state)))?;
             let code = (self.functions.set_state)(self.handle, state);
             (self.functions.free_state)(self.handle, &mut state);
-            ok(code)
+            ok(status(code))
         }
-    }
-
-    pub(crate) fn derivative(&mut self, unknown: u32, known: u32, seed: &[f64], result: &mut [f64]) -> Status {
-        // SAFETY: one reference each, and arrays of the lengths that are said.
-        status(unsafe {
-            (self.functions.derivative)(
-                self.handle,
-                &raw const unknown,
-                1,
-                &raw const known,
-                1,
-                seed.as_ptr(),
-                seed.len(),
-                result.as_mut_ptr(),
-                result.len(),
-            )
-        })
     }
 }
 
-fn ok(code: c_int) -> Result<(), Status> {
-    match status(code) {
-        Status::Ok => Ok(()),
-        failed => Err(failed),
-    }
+fn ok(status: Status) -> Result<(), Status> {
+    if status == Status::Ok { Ok(()) } else { Err(status) }
 }
 
 impl Drop for Instance {

@@ -50,6 +50,11 @@ impl Conversion {
         }
     }
 
+    /// The way back, where there is something to change.
+    pub(crate) fn inverse(self) -> Option<Self> {
+        (self != Self::NONE).then(|| Self { factor: 1.0 / self.factor, offset: -self.offset / self.factor })
+    }
+
     /// Changes values.
     pub fn apply(self, values: &mut [f64]) {
         if self != Self::NONE {

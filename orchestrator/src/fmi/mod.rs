@@ -1,80 +1,104 @@
-//! Importer of FMI 3.0 co-simulation units: the other side of [`Unit`] is a C library.
+//! Importer of FMI 3.0 and 2.0 co-simulation units: the other side of [`Unit`] is a C library.
 //!
-//! - [`Description`]: what `modelDescription.xml` says.
-//! - `library`: the C functions that are used; the only unsafe code.
-//! - [`Fmu`]: an unpacked unit; [`FmuUnit`]: an instance of it.
+//! - [`Description`]: what `modelDescription.xml` says; [`Fit`]: whether that is what a role asks for.
+//! - `library`, `fmi3`, `fmi2`: the C functions that are used; the only unsafe code.
+//! - [`Fmu`]: an unpacked unit; [`FmuUnit`]: an instance of it; [`Replay`]: one that cannot go back.
+//! - [`connections`]: connections by names; [`Measure`]: units of measure.
 //!
-//! It is our own because it is small: about 20 of the 75 functions. (fmi-rs 0.3.4 asks for all of them.)
+//! It is our own because it is small: about 25 of the 75 functions. (fmi-rs 0.3.4 asks for all of them.)
 
 mod description;
+mod fmi2;
+mod fmi3;
 mod library;
 mod measure;
+mod replay;
+mod role;
 mod unit;
 mod wiring;
 
-pub use description::{Causality, Description, Variable, VariableType};
+pub use description::{Causality, Description, Variable, VariableType, Version};
 pub use measure::{Conversion, Measure};
+pub use replay::Replay;
+pub use role::Fit;
 pub use unit::{Fmu, FmuUnit};
 pub use wiring::{WiringError, connections};
 
+use std::cmp::Reverse;
 use std::path::PathBuf;
 
-use crate::CouplingError;
-use crate::unit::Unit;
+use model::Parameter;
 
-/// Makes units ready for a model: refuses different meshes, sets the parameters of the coupling that the units have and
-/// those that the model gives, and initialises them.
+use crate::unit::Unit;
+use crate::{CouplingError, Field, Interface};
+
+/// The name under which a unit publishes the fingerprint of its mesh.
+const FINGERPRINT: &str = "mesh.fingerprint";
+
+/// Makes units ready for a model: sets the parameters of the coupling that they have and those that the model gives,
+/// initialises them, and refuses different meshes. Mechanics comes before flow, own units before those from elsewhere: the
+/// second of two is given what its partner has at the start before its initialisation ends.
 ///
 /// # Errors
 /// [`CouplingError::Mesh`]; [`CouplingError::Unit`].
-pub fn start(units: &mut [FmuUnit], model: &model::Model) -> Result<(), CouplingError> {
-    const FINGERPRINT: &str = "mesh.fingerprint";
-    let fail = |unit: &FmuUnit, error| CouplingError::unit(unit, error);
-    let mut first: Option<String> = None;
-    for unit in units.iter_mut().filter(|unit| unit.has(FINGERPRINT)) {
-        let found = unit.text(FINGERPRINT).map_err(|error| fail(unit, error))?;
-        let expected = first.get_or_insert_with(|| found.clone());
-        if found != *expected {
-            return Err(CouplingError::Mesh { fingerprints: [expected.clone(), found] });
-        }
-    }
+pub fn start(units: &mut [FmuUnit], interface: &Interface, model: &model::Model) -> Result<(), CouplingError> {
     let sensitivity = &model.coupling.sensitivity;
     let parameters = [
         ("porosity_compliance.factor", sensitivity.matrix_compliance_factor),
         ("aperture_compliance.floor", sensitivity.fracture_compliance_floor_factor),
     ];
-    for unit in &mut *units {
-        for (name, value) in parameters.iter().filter(|(name, _)| unit.has(name)).collect::<Vec<_>>() {
-            unit.set(name, &[value.0]).map_err(|error| fail(unit, error))?;
+    let foreign = |unit: &FmuUnit| model.units.get(unit.name());
+    let mut order: Vec<usize> = (0..units.len()).collect();
+    order.sort_by_key(|&unit| (foreign(&units[unit]).is_some(), Reverse(unit)));
+    let mut started = vec![false; units.len()];
+    for number in order {
+        let mut starts: Vec<(String, Parameter)> = Vec::new();
+        let own = parameters.iter().filter(|(name, _)| units[number].has(name));
+        starts.extend(own.map(|(name, value)| ((*name).to_owned(), Parameter::Number(value.0))));
+        let from_partner = |f: &&Field| number < interface.coupled && f.from != number && started[f.from];
+        for field in interface.fields.iter().filter(from_partner) {
+            if units[field.from].has(&field.name) && units[number].has(&field.name) {
+                let (mut values, partner) = (Vec::new(), &mut units[field.from]);
+                partner.get(&field.name, &mut values).map_err(|error| CouplingError::unit(partner, error))?;
+                starts.push((field.name.clone(), Parameter::Numbers(values)));
+            }
         }
-        for (name, value) in model.units.get(unit.name()).map(|unit| &unit.parameters).into_iter().flatten() {
-            unit.set_start(name, value).map_err(|error| fail(unit, error))?;
+        if let Some(description) = foreign(&units[number]) {
+            starts.extend(description.parameters.clone());
         }
+        let unit = &mut units[number];
+        let result = starts.iter().try_for_each(|(name, value)| unit.set_start(name, value));
+        let result = result.and_then(|()| unit.initialise(model.time.start.0, model.time.end.0));
+        result.map_err(|error| CouplingError::unit(unit, error))?;
+        started[number] = true;
     }
-    // What mechanics has at the start belongs to the initial state of flow.
-    let mut deformation: Vec<(&str, Vec<f64>)> = Vec::new();
-    let mut order: Vec<_> = units.iter_mut().collect();
-    order.sort_by_key(|unit| unit.name() != "mechanics");
-    for unit in order {
-        if unit.name() == "flow" {
-            for (name, values) in &deformation {
-                if unit.has(name) {
-                    unit.set(name, values).map_err(|error| fail(unit, error))?;
-                }
-            }
-        }
-        unit.initialise(model.time.start.0, model.time.end.0).map_err(|error| fail(unit, error))?;
-        if unit.name() == "mechanics" {
-            for name in ["matrix.porosity_change", "fracture.aperture"] {
-                if unit.has(name) {
-                    let mut values = Vec::new();
-                    unit.get(name, &mut values).map_err(|error| fail(unit, error))?;
-                    deformation.push((name, values));
-                }
-            }
+    let mut first: Option<String> = None;
+    for unit in units.iter_mut() {
+        let Some(found) = fingerprint(unit)? else { continue };
+        let expected = first.get_or_insert_with(|| found.clone());
+        if found != *expected {
+            return Err(CouplingError::Mesh { fingerprints: [expected.clone(), found] });
         }
     }
     Ok(())
+}
+
+/// The fingerprint of a unit's mesh, if it publishes one.
+///
+/// # Errors
+/// [`CouplingError::Unit`].
+pub fn fingerprint(unit: &mut FmuUnit) -> Result<Option<String>, CouplingError> {
+    if !unit.has(FINGERPRINT) {
+        return Ok(None);
+    }
+    unit.text(FINGERPRINT).map(Some).map_err(|error| CouplingError::unit(unit, error))
+}
+
+/// Makes a unit of an instance. Where it cannot go back, or its state cannot be bytes, replaying stands in for that, unless
+/// it `goes_on` without.
+pub fn adapted(unit: FmuUnit, goes_on: bool) -> Box<dyn Unit> {
+    let is_able = unit.can_roll_back() && unit.can_serialise();
+    if is_able || goes_on { Box::new(unit) } else { Box::new(Replay::new(unit)) }
 }
 
 /// Why an FMU cannot be loaded.

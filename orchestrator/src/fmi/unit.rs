@@ -4,16 +4,20 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use coupling::{Role, Sizes};
 use model::Parameter;
 use tempfile::TempDir;
 
 use super::FmuError;
-use super::description::{Description, Variable, VariableType};
+use super::description::{Description, Variable, VariableType, Version};
 use super::library::{Instance, Status};
+use super::role::Fit;
 use crate::unit::{StepOutcome, Unit, UnitError};
 
 /// The name under which a unit publishes the Newton iterations of its last time step.
 const NEWTON: &str = "newton.iterations";
+/// Time steps that differ by less than this part are of one size.
+const SAME: f64 = 1e-9;
 
 /// An unpacked FMU; its files go with the last of its clones and instances.
 #[derive(Clone, Debug)]
@@ -45,56 +49,112 @@ impl Fmu {
         &self.description
     }
 
+    /// Compares it with what a role asks for. From then on its variables are in the role's units of measure.
+    pub fn fit(&mut self, role: Role, sizes: Sizes) -> Fit {
+        Arc::make_mut(&mut self.description).fit(role, sizes)
+    }
+
     /// Makes an instance. Start values may be set before [`FmuUnit::initialise`].
     ///
     /// # Errors
     /// [`FmuError`]: no library for this platform, or the unit refuses, as for corrupt resources.
     pub fn instantiate(&self, name: &str) -> Result<FmuUnit, FmuError> {
+        let instance = Some(self.instance(name)?);
+        let fmu = self.clone();
+        Ok(FmuUnit {
+            name: name.to_owned(),
+            instance,
+            fmu,
+            starts: Vec::new(),
+            span: None,
+            step: None,
+            said: Vec::new(),
+        })
+    }
+
+    fn instance(&self, name: &str) -> Result<Instance, FmuError> {
         use std::env::consts::{ARCH, DLL_SUFFIX, OS};
         let fail = |reason: String| FmuError { path: self.path.clone(), reason };
-        let system = if OS == "macos" { "darwin" } else { OS };
-        let library = self
-            .folder
-            .path()
-            .join(format!("binaries/{ARCH}-{system}"))
-            .join(format!("{}{DLL_SUFFIX}", self.description.identifier));
+        let Description { version, identifier, token, .. } = &*self.description;
+        let platform = match (version, OS, ARCH) {
+            (Version::Three, "macos", _) => format!("{ARCH}-darwin"),
+            (Version::Three, ..) => format!("{ARCH}-{OS}"),
+            (Version::Two, "macos", _) => "darwin64".into(),
+            (Version::Two, "windows", _) => "win64".into(),
+            (Version::Two, ..) => format!("{OS}64"),
+        };
+        let library = self.folder.path().join("binaries").join(&platform).join(format!("{identifier}{DLL_SUFFIX}"));
         if !library.is_file() {
-            return Err(fail(format!("it has no library for {ARCH}-{system}")));
+            return Err(fail(format!("it has no library for {platform}")));
         }
-        let resources = self.folder.path().join("resources");
-        let instance = Instance::new(&library, name, &self.description.token, &resources).map_err(fail)?;
-        Ok(FmuUnit { name: name.to_owned(), instance, fmu: self.clone() })
+        Instance::new(*version, &library, name, token, &self.folder.path().join("resources")).map_err(fail)
     }
 }
 
 /// An instance of an FMU.
 pub struct FmuUnit {
     name: String,
-    instance: Instance,
+    /// There is none while it is made anew.
+    instance: Option<Instance>,
     fmu: Fmu,
+    /// What was set before initialisation.
+    starts: Vec<(String, Parameter)>,
+    /// Start and stop (s), once it is initialised.
+    span: Option<[f64; 2]>,
+    /// The only time step (s) that it takes.
+    step: Option<f64>,
+    /// Messages of calls that succeeded.
+    said: Vec<String>,
 }
 
 impl FmuUnit {
-    /// Ends the setting of start values: computes the initial state at `start` (s). Time will not go past `stop` (s).
-    ///
-    /// # Errors
-    /// [`UnitError::Refused`].
-    pub fn initialise(&mut self, start: f64, stop: f64) -> Result<(), UnitError> {
-        let status = self.instance.initialise(start, stop);
-        self.done(status)
-    }
-
     /// Sets a parameter or the start value of an input, before [`initialise`](Self::initialise).
     ///
     /// # Errors
     /// [`UnitError`].
     pub fn set_start(&mut self, variable: &str, value: &Parameter) -> Result<(), UnitError> {
         match value {
-            Parameter::Number(value) => self.set(variable, &[*value]),
-            Parameter::Numbers(values) => self.set(variable, values),
-            Parameter::Flag(_) | Parameter::Text(_) => {
-                Err(UnitError::Unsupported { what: "parameters that are no numbers" })
+            Parameter::Number(value) => self.set(variable, &[*value])?,
+            Parameter::Numbers(values) => self.set(variable, values)?,
+            Parameter::Flag(value) => self.set(variable, &[f64::from(u8::from(*value))])?,
+            Parameter::Text(text) => {
+                let description = Arc::clone(&self.fmu.description);
+                let found = known(&description, variable)?;
+                if found.ty != VariableType::String {
+                    return Err(UnitError::Refused { message: format!("\"{variable}\" is no text") });
+                }
+                let status = self.instance()?.set_text(found.references[0], text);
+                let status = status.map_err(|message| UnitError::Refused { message })?;
+                self.done(status)?;
             }
+        }
+        self.starts.push((variable.to_owned(), value.clone()));
+        Ok(())
+    }
+
+    /// Ends the setting of start values: computes the initial state at `start` (s). Time will not go past `stop` (s).
+    ///
+    /// # Errors
+    /// [`UnitError::Refused`].
+    pub fn initialise(&mut self, start: f64, stop: f64) -> Result<(), UnitError> {
+        let status = self.instance()?.initialise(start, stop);
+        self.done(status)?;
+        self.span = Some([start, stop]);
+        Ok(())
+    }
+
+    /// Makes the instance anew, with the start values that it had, and initialises it.
+    pub(crate) fn renew(&mut self) -> Result<(), UnitError> {
+        // The old one goes first: some FMUs cannot be there twice.
+        self.instance = None;
+        let instance = self.fmu.instance(&self.name);
+        self.instance = Some(instance.map_err(|error| UnitError::Refused { message: error.to_string() })?);
+        for (variable, value) in std::mem::take(&mut self.starts) {
+            self.set_start(&variable, &value)?;
+        }
+        match self.span {
+            Some([start, stop]) => self.initialise(start, stop),
+            None => Ok(()),
         }
     }
 
@@ -108,22 +168,26 @@ impl FmuUnit {
     /// # Errors
     /// [`UnitError`].
     pub fn text(&mut self, variable: &str) -> Result<String, UnitError> {
-        let Variable { reference, .. } = *self.variable(variable)?;
-        self.instance.get_string(reference).map_err(|_| self.refused())
+        let reference = known(&self.fmu.description, variable)?.references[0];
+        self.instance()?.get_text(reference).map_err(|_| self.refused())
     }
 
-    fn variable(&self, name: &str) -> Result<&Variable, UnitError> {
-        self.fmu.description.variables.get(name).ok_or_else(|| UnitError::UnknownVariable { variable: name.to_owned() })
+    fn instance(&mut self) -> Result<&mut Instance, UnitError> {
+        self.instance.as_mut().ok_or_else(|| UnitError::Refused { message: "it could not be made anew".into() })
     }
 
     fn refused(&self) -> UnitError {
-        let message = self.instance.take_messages();
+        let message = self.instance.as_ref().map_or_else(String::new, Instance::take_messages);
         UnitError::Refused { message: if message.is_empty() { "it gives no reason".into() } else { message } }
     }
 
     fn done(&self, status: Status) -> Result<(), UnitError> {
         if status == Status::Ok { Ok(()) } else { Err(self.refused()) }
     }
+}
+
+fn known<'a>(description: &'a Description, name: &str) -> Result<&'a Variable, UnitError> {
+    description.variables.get(name).ok_or_else(|| UnitError::UnknownVariable { variable: name.to_owned() })
 }
 
 impl std::fmt::Debug for FmuUnit {
@@ -142,55 +206,53 @@ impl Unit for FmuUnit {
     }
 
     fn set(&mut self, variable: &str, values: &[f64]) -> Result<(), UnitError> {
-        let &Variable { reference, size, ty, .. } = self.variable(variable)?;
-        if ty != VariableType::Float64 {
-            return Err(UnitError::Unsupported { what: "setting a variable that is no Float64" });
+        let description = Arc::clone(&self.fmu.description);
+        let found = known(&description, variable)?;
+        if !found.is_number() {
+            return Err(UnitError::Unsupported { what: "setting numbers in a variable that has none" });
         }
-        if values.len() != size {
-            return Err(UnitError::Length { variable: variable.to_owned(), found: values.len(), expected: size });
+        if values.len() != found.size {
+            return Err(UnitError::Length { variable: variable.to_owned(), found: values.len(), expected: found.size });
         }
-        let status = self.instance.set_f64(reference, values);
+        let mut values = std::borrow::Cow::Borrowed(values);
+        if let Some(inverse) = found.conversion.inverse() {
+            inverse.apply(values.to_mut());
+        }
+        let status = self.instance()?.set(found.ty, &found.references, &values);
         self.done(status)
     }
 
     fn get(&mut self, variable: &str, values: &mut Vec<f64>) -> Result<(), UnitError> {
-        let &Variable { reference, size, ty, .. } = self.variable(variable)?;
+        let description = Arc::clone(&self.fmu.description);
+        let found = known(&description, variable)?;
+        if !found.is_number() {
+            return Err(UnitError::Unsupported { what: "numbers from a variable that has none" });
+        }
         values.clear();
-        let status = match ty {
-            VariableType::Float64 => {
-                values.resize(size, 0.0);
-                self.instance.get_f64(reference, values)
-            }
-            VariableType::Int64 => {
-                let mut list = vec![0; size];
-                let status = self.instance.get_i64(reference, &mut list);
-                values.extend(list.into_iter().map(|v| v as f64));
-                status
-            }
-            VariableType::UInt64 => {
-                let mut list = vec![0; size];
-                let status = self.instance.get_u64(reference, &mut list);
-                values.extend(list.into_iter().map(|v| v as f64));
-                status
-            }
-            VariableType::Int32 => {
-                let mut list = vec![0; size];
-                let status = self.instance.get_i32(reference, &mut list);
-                values.extend(list.into_iter().map(f64::from));
-                status
-            }
-            VariableType::String | VariableType::Other => {
-                return Err(UnitError::Unsupported { what: "numbers from a variable that has none" });
-            }
-        };
+        values.resize(found.size, 0.0);
+        let status = self.instance()?.get(found.ty, &found.references, values);
+        found.conversion.apply(values);
         self.done(status)
     }
 
     fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError> {
-        match self.instance.step(time, step) {
-            (Status::Ok, false) => Ok(StepOutcome::Done),
+        let only = *self.step.get_or_insert(step);
+        if !self.fmu.description.takes_any_step && (step - only).abs() > SAME * only {
+            let message = format!(
+                "it takes time steps of one size only (canHandleVariableCommunicationStepSize), {only} s, and cannot do \
+                 one of {step} s: fixed steps are needed, and a coupling that converges in them"
+            );
+            return Err(UnitError::Refused { message });
+        }
+        let instance = self.instance()?;
+        match instance.step(time, step) {
+            (Status::Ok, false) => {
+                let said = instance.take_list();
+                self.said.extend(said);
+                Ok(StepOutcome::Done)
+            }
             (Status::Ok, true) => Err(UnitError::Refused { message: "it wants the simulation to end".into() }),
-            (Status::Discard, _) => Ok(StepOutcome::Discarded { reason: self.instance.take_messages() }),
+            (Status::Discard, _) => Ok(StepOutcome::Discarded { reason: instance.take_messages() }),
             (Status::Error, _) => Err(self.refused()),
         }
     }
@@ -200,29 +262,33 @@ impl Unit for FmuUnit {
     }
 
     fn save(&mut self) -> Result<(), UnitError> {
-        let status = self.instance.save();
+        let status = self.instance()?.save();
         self.done(status)
     }
 
     fn restore(&mut self) -> Result<(), UnitError> {
-        match self.instance.restore() {
+        match self.instance()?.restore() {
             Some(status) => self.done(status),
             None => Err(UnitError::Unsupported { what: "going back where no state was kept" }),
         }
     }
 
+    fn can_serialise(&self) -> bool {
+        self.fmu.description.serialises_state
+    }
+
     fn serialise(&mut self) -> Result<Vec<u8>, UnitError> {
-        if !self.fmu.description.serialises_state {
+        if !self.can_serialise() {
             return Err(UnitError::Unsupported { what: "states as bytes" });
         }
-        self.instance.serialise().map_err(|_| self.refused())
+        self.instance()?.serialise().map_err(|_| self.refused())
     }
 
     fn deserialise(&mut self, bytes: &[u8]) -> Result<(), UnitError> {
-        if !self.fmu.description.serialises_state {
+        if !self.can_serialise() {
             return Err(UnitError::Unsupported { what: "states as bytes" });
         }
-        self.instance.deserialise(bytes).map_err(|_| self.refused())
+        self.instance()?.deserialise(bytes).map_err(|_| self.refused())
     }
 
     fn newton_iterations(&mut self) -> Option<u64> {
@@ -231,17 +297,23 @@ impl Unit for FmuUnit {
         values.first().map(|&n| n as u64)
     }
 
+    fn take_messages(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.said)
+    }
+
     fn derivative(&mut self, output: &str, input: &str, seed: &[f64]) -> Result<Option<Vec<f64>>, UnitError> {
-        if !self.fmu.description.has_derivatives {
+        let description = Arc::clone(&self.fmu.description);
+        if !description.has_derivatives {
             return Ok(None);
         }
-        let &Variable { reference: unknown, size, .. } = self.variable(output)?;
-        let &Variable { reference: known, size: expected, .. } = self.variable(input)?;
-        if seed.len() != expected {
-            return Err(UnitError::Length { variable: input.to_owned(), found: seed.len(), expected });
+        let (unknown, wrt) = (known(&description, output)?, known(&description, input)?);
+        if seed.len() != wrt.size {
+            return Err(UnitError::Length { variable: input.to_owned(), found: seed.len(), expected: wrt.size });
         }
-        let mut result = vec![0.0; size];
-        let status = self.instance.derivative(unknown, known, seed, &mut result);
+        let mut result = vec![0.0; unknown.size];
+        let status = self.instance()?.derivative(&unknown.references, &wrt.references, seed, &mut result);
+        let factor = unknown.conversion.factor / wrt.conversion.factor;
+        result.iter_mut().for_each(|v| *v *= factor);
         self.done(status).map(|()| Some(result))
     }
 }

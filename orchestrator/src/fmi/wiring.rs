@@ -67,7 +67,7 @@ fn find<'a>(
         return Err(format!("it is no {is}"));
     }
     let is_number = match causality {
-        Causality::Output => !matches!(variable.ty, VariableType::String | VariableType::Other),
+        Causality::Output => variable.is_number(),
         _ => variable.ty == VariableType::Float64,
     };
     if is_number { Ok((number, variable)) } else { Err("it is no number, or no floating-point one".into()) }

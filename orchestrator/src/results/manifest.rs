@@ -28,6 +28,9 @@ pub struct Manifest {
     pub units: Vec<UnitVersion>,
     /// The fields that they exchange, in the order of the interface.
     pub fields: Vec<Quantity>,
+    /// How the run was adapted to its units.
+    #[serde(default)]
+    pub notes: Vec<String>,
     /// The model.
     pub model: ModelSource,
     /// The mesh.
@@ -130,6 +133,7 @@ impl Manifest {
             started: date(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())),
             units,
             fields: interface.fields.iter().map(quantity).collect(),
+            notes: Vec::new(),
             model: ModelSource {
                 name: name.to_owned(),
                 title: model.title.clone(),
