@@ -67,7 +67,8 @@ def pack(source, fmu, files):
                 np.savez(folder / f"{path.stem}.npz", **mesh.read(path))
                 path = folder / f"{path.stem}.npz"
             added.append(path)
-        options = dict(canGetAndSetFMUState=True, canSerializeFMUState=True)
+        names = ("canGetAndSetFMUState", "canSerializeFMUState", "canHandleVariableCommunicationStepSize")
+        options = dict.fromkeys(names, True)
         built = FmuBuilder.build_FMU(source, folder, added, **options)
         wrapper = folder / "libpythonfmu-export.so"
         name = f"{PLATFORM}/{built.stem}.so"
