@@ -1,6 +1,7 @@
 """What the units have in common: arrays as FMI variables, and a state that can be gone back to."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pythonfmu3.variables
@@ -56,6 +57,20 @@ class Arrays(Fmi3SlaveBase):
         kind = dict(causality=Fmi3Causality.output, variability=Fmi3Variability.discrete)
         self.register_variable(String(name, description=description, getter=lambda: value, **kind), nested=False)
 
+    def scalar(self, name):
+        """The value of a scalar."""
+        return self.values[name].item()
+
+    def put(self, name, values):
+        """Takes values for a variable, or fails with its name."""
+        values = np.atleast_1d(np.array(values, dtype=float))
+        if values.shape != self.values[name].shape:
+            raise ValueError(f"{name} has {self.values[name].size} entries, not {values.size}")
+        # Minus infinity is a magnitude without slip.
+        if np.isnan(values).any() or np.isposinf(values).any():
+            raise ValueError(f"{name} must not be NaN or infinite")
+        self.values[name] = values
+
     def _add(self, name, unit, start, description, causality, variability):
         start = np.array(start, dtype=float)
         self.values[name] = np.atleast_1d(start)
@@ -63,14 +78,6 @@ class Arrays(Fmi3SlaveBase):
         def get():
             values = self.values[name].tolist()
             return values if start.ndim else values[0]
-
-        def put(values):
-            values = np.atleast_1d(np.array(values, dtype=float))
-            if values.shape != self.values[name].shape:
-                raise ValueError(f"{name} has {self.values[name].size} entries, not {values.size}")
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name} must be finite")
-            self.values[name] = values
 
         variable = Float64(
             name,
@@ -81,7 +88,7 @@ class Arrays(Fmi3SlaveBase):
             dimensions=[Dimension(start=str(n)) for n in start.shape],
             getter=get,
             # The host must not set outputs.
-            setter=None if causality == Fmi3Causality.output else put,
+            setter=None if causality == Fmi3Causality.output else partial(self.put, name),
         )
         self.register_variable(variable, nested=False)
 
