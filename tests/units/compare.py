@@ -23,6 +23,7 @@ PLOTS = HERE / "plots"
 TIMES = [100 * i for i in range(1, 21)]
 # Where the exchange between rock and fractures does not hinder flow: K_n/d_f is a million times that of C3.
 OPEN = [f"fractures.{i}.normal_permeability=1e-9" for i in range(1, 7)]
+STYLES = ["o-", "s-", "x-", "+:"]
 MEANS = "mean aperture", "mean pressure in fractures", "mean pressure in rock"
 
 
@@ -78,7 +79,8 @@ def main(sizes):
     rows, curves = [], {}
     for size in sizes:
         bisectors = RESULTS / f"bisectors-{size}"
-        subprocess.run([sys.executable, HERE / "two-point" / "bisectors.py", six, str(size), bisectors], check=True)
+        if not bisectors.exists():
+            subprocess.run([sys.executable, HERE / "two-point" / "bisectors.py", six, str(size), bisectors], check=True)
         cases = {
             "two-point, bisector mesh": (bisectors, [], "two-point"),
             "two-point, triangles": (six, triangles(size), "two-point"),
@@ -97,13 +99,13 @@ def main(sizes):
         csv.writer(file).writerows([["unit", "size [m]", *MEANS], *([*row[:2], *(f"{d:.3e}" for d in row[2:])] for row in rows)])
     figure, axes = plt.subplots(1, 3, figsize=(12, 4), sharey=True, layout="constrained")
     for i, (axis, mean) in enumerate(zip(axes, MEANS)):
-        for label in curves:
-            axis.loglog(sizes, [row[2 + i] for row in rows if row[0] == label], "o-", label=label)
+        for label, style in zip(curves, STYLES):
+            axis.loglog(sizes, [row[2 + i] for row in rows if row[0] == label], style, label=label)
         axis.set(title=mean, xlabel="fracture faces (m)", xticks=sizes, xticklabels=sizes)
         axis.minorticks_off()
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("largest difference from ours / range")
-    axes[0].legend(fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(curves), fontsize="small")
     figure.savefig(PLOTS / "differences.svg", metadata={"Date": None})
 
     figure, axes = plt.subplots(1, 3, figsize=(12, 4), layout="constrained")
@@ -111,10 +113,12 @@ def main(sizes):
         scale = 1e6 if i == 0 else 1e-6
         for j, (label, (ours, theirs)) in enumerate(curves.items()):
             axis.plot(TIMES, scale * ours[i], "-", color=f"C{j}", lw=1)
-            axis.plot(TIMES, scale * theirs[i], "o", ms=3, color=f"C{j}", label=label)
+            axis.plot(TIMES, scale * theirs[i], STYLES[j][0], ms=4, color=f"C{j}", fillstyle="none", label=label)
         axis.set(title=mean, xlabel="time (s)", ylabel="µm" if i == 0 else "MPa")
         axis.grid(alpha=0.3)
-    axes[2].legend(fontsize="small", title=f"marks: unit, lines: ours; h = {sizes[-1]} m")
+    legend = dict(loc="outside lower center", ncols=len(curves), fontsize="small")
+    title = f"marks: the unit, lines: ours on the same mesh, of fracture faces of {sizes[-1]} m"
+    figure.legend(*axes[0].get_legend_handles_labels(), title=title, **legend)
     figure.savefig(PLOTS / "means.svg", metadata={"Date": None})
 
 
