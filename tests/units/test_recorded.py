@@ -4,11 +4,9 @@ import h5py
 import numpy as np
 from conftest import ALL_TIMES, COARSE, SIX, Instance, run
 
-ALONE = ["--set", "coupling.split=fixed_strain", "--set", "coupling.acceleration=none"]
-
 
 def test_mechanics_repeats_the_coupled_run_to_the_last_bit(record, tmp_path):
-    again = run(SIX, tmp_path / "again", *COARSE, *ALL_TIMES, *ALONE, "--flow", record / "recorded.fmu")
+    again = run(SIX, tmp_path / "again", *COARSE, *ALL_TIMES, "--flow", record / "recorded.fmu")
     with h5py.File(record / "run" / "run.h5") as first, h5py.File(again / "run.h5") as second:
         assert len(first["fields"]) == 20
         for number, group in first["fields"].items():

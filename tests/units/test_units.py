@@ -78,7 +78,7 @@ def test_another_mesh_is_refused(unit, tmp_path):
 
 def test_control_c_ends_the_run(record, tmp_path):
     # The interpreter in the unit does not take the signal.
-    options = ["--flow", record / "recorded.fmu", "--set", "time.step=0.01", "--set", "coupling.split=fixed_strain"]
+    options = ["--flow", record / "recorded.fmu", "--set", "time.step=0.01"]
     command = [orchestrator(), "run", SIX, "--output", tmp_path / "run", "--quiet", *COARSE, *options]
     process = subprocess.Popen(command)
     for _ in range(600):
