@@ -73,6 +73,12 @@ def test_a_wrong_length_is_refused(unit, tmp_path):
 def test_another_mesh_is_refused(unit, tmp_path):
     process = run(SIX, tmp_path / "run", "--flow", unit, "--set", "mesh.triangles.size=0.3", check=False)
     assert process.returncode == 2
+    assert "flow: matrix.pressure has" in process.stderr and "another mesh" in process.stderr
+    # One of the same size, with vertices elsewhere.
+    model, options = (unit.parent, []) if "two-point" in unit.name else (SIX, COARSE)
+    moved = ["--set", "mesh.perturb={ amplitude = 0.05, seed = 1 }"]
+    process = run(model, tmp_path / "run", "--flow", unit, *options, *moved, check=False)
+    assert process.returncode == 2
     assert "flow is on another mesh than the model" in process.stderr
 
 
