@@ -111,16 +111,21 @@ pub struct Coupled {
 }
 
 impl Coupled {
-    /// Sets both units up on a mesh.
+    /// Sets both units up on a mesh, in equilibrium at the initial pressure: the apertures that the flow starts from include
+    /// what this pressure opens.
     ///
     /// # Panics
-    /// If a model is refused.
+    /// If a model is refused, or there is no equilibrium.
     pub fn new(mesh: Mesh) -> Self {
         let mesh = Arc::new(mesh);
-        let mechanics = Mechanics::new(Arc::clone(&mesh), mechanics_model()).unwrap_or_else(|e| panic!("{e}"));
-        let flow = Flow::new(mesh, flow_model()).unwrap_or_else(|e| panic!("{e}"));
-        let mut state = mechanics.rest(0.0);
+        let mut mechanics = Mechanics::new(Arc::clone(&mesh), mechanics_model()).unwrap_or_else(|e| panic!("{e}"));
+        let rest = mechanics.rest(0.0);
+        let initial = mechanics.step(&rest, 0.0, &Partner::uniform(&mesh, INITIAL_PRESSURE));
+        let Ok(Outcome::Converged(mut state, _)) = initial else { panic!("no equilibrium at the initial pressure") };
         mechanics.make_initial(&mut state);
+        let mut flow = Flow::new(mesh, flow_model()).unwrap_or_else(|e| panic!("{e}"));
+        let aperture = mechanics.aperture(&state);
+        flow.set_state(flow_fmu::State { aperture, ..flow.state().clone() }).unwrap_or_else(|e| panic!("{e}"));
         Self { mechanics, flow, state }
     }
 
@@ -137,16 +142,16 @@ impl Coupled {
         let mut porosity = self.mechanics.porosity_change(&start);
         let mut aperture = self.mechanics.aperture(&start);
         let scale = self.mechanics.aperture_compliance_scale();
-        let probed = self.mechanics.aperture_compliance(&start).unwrap_or_else(|e| panic!("{e}"));
-        let compliance: Vec<f64> = probed.iter().zip(&scale).map(|(c, s)| c.max(floor * s)).collect();
         let mut newton = 0;
         for iterations in 1..=100 {
             self.flow.set_state(start_flow.clone()).unwrap_or_else(|e| panic!("{e}"));
+            // At the latest contact states: what is open at the start may be closed at the end.
+            let probed = self.mechanics.aperture_compliance(&self.state).unwrap_or_else(|e| panic!("{e}"));
             let inputs = Inputs {
                 porosity_change: porosity.clone(),
                 aperture: aperture.clone(),
                 porosity_compliance: self.mechanics.porosity_compliance(),
-                aperture_compliance: compliance.clone(),
+                aperture_compliance: probed.iter().zip(&scale).map(|(c, s)| c.max(floor * s)).collect(),
                 matrix_pressure_reference: matrix_pressure.clone(),
                 fracture_pressure_reference: fracture_pressure.clone(),
                 wells: Vec::new(),
