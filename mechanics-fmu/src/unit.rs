@@ -59,6 +59,8 @@ struct Inputs {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Last {
     newton_iterations: i64,
+    /// Largest violation of a contact law (Pa).
+    violation: f64,
     /// Terms of the energy balance (J): elastic, external, pressure, friction.
     energies: [f64; 4],
     /// The partner's matrix stiffness (Pa) by which the state was found, which its linearised responses need; empty if
@@ -230,6 +232,17 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
     t.output("fracture.contact_state", |u, v| {
         v.write(&u.now.state.contact.iter().map(|&s| s as i64).collect::<Vec<_>>())
     });
+    t.output("matrix.displacement", |u, v| {
+        let d = u.sizes().dim;
+        let cells = u.mechanics.cell_displacement(&u.now.state);
+        write(v, &cells.iter().flat_map(|x| x.to_array().into_iter().take(d)).collect::<Vec<_>>())
+    });
+    t.output("matrix.displacement_gradient", |u, v| {
+        let d = u.sizes().dim;
+        let cells = u.mechanics.displacement_gradient(&u.now.state);
+        let rows = cells.iter().flat_map(|rows| &rows[..d]);
+        write(v, &rows.flat_map(|row| row.to_array().into_iter().take(d)).collect::<Vec<_>>())
+    });
     t.add(
         |r| {
             Variable::output(r, "mesh.fingerprint", Type::String)
@@ -292,6 +305,13 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
         |u, v| v.write(&[u.now.last.newton_iterations]),
         None,
     );
+    if sizes.fracture_faces > 0 {
+        t.add(
+            float("contact.violation", "Pa", "Largest violation of a contact law in the last step"),
+            |u, v| write(v, &[u.now.last.violation]),
+            None,
+        );
+    }
     t.add(float("energy.elastic", "J", "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
     t.add(
         float("energy.external_work", "J", "Work of loads and prescribed displacements in the last step"),
@@ -388,9 +408,13 @@ impl Unit for MechanicsUnit {
 
     fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError> {
         let mut state = self.mechanics.rest(experiment.start);
+        let mut elastic = 0.0;
         if self.initial.equilibrium {
             match self.mechanics.step(&state, experiment.start, &self.initial.pressure)? {
-                Outcome::Converged(found, _) => state = found,
+                Outcome::Converged(found, report) => {
+                    state = found;
+                    elastic = report.energy.elastic;
+                }
                 Outcome::NotConverged(report) => {
                     return Err(format!(
                         "no initial equilibrium: after {} Newton iterations a contact law is violated by {:e} Pa",
@@ -402,7 +426,7 @@ impl Unit for MechanicsUnit {
         }
         self.mechanics.make_initial(&mut state);
         self.now.state = state;
-        self.now.last = Arc::default();
+        self.now.last = Arc::new(Last { energies: [elastic, 0.0, 0.0, 0.0], ..Last::default() });
         Ok(())
     }
 
@@ -414,6 +438,7 @@ impl Unit for MechanicsUnit {
                 let e = report.energy;
                 self.now.last = Arc::new(Last {
                     newton_iterations: report.newton.iterations as i64,
+                    violation: report.violation,
                     energies: [e.elastic, e.external_work, e.pressure_work, e.friction],
                     matrix_stiffness: self.mechanics.matrix_stiffness().to_vec(),
                 });

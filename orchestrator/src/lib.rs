@@ -21,6 +21,7 @@
 
 mod acceleration;
 mod checkpoint;
+mod energy;
 mod error;
 pub mod fmi;
 mod interface;
@@ -31,6 +32,7 @@ mod time;
 mod unit;
 
 pub use checkpoint::Checkpoint;
+pub use energy::EnergyEstimate;
 pub use error::CouplingError;
 pub use interface::{Connection, FLOW, Field, Interface, MECHANICS, Scheme, Sensitivity};
 pub use record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};

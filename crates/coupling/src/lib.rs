@@ -53,6 +53,10 @@ pub enum Shape {
     FractureFaces,
     /// Each fracture face and each component in its basis (n⁺, t₁[, t₂]).
     FractureVectors,
+    /// Each cell and each component in space.
+    CellVectors,
+    /// Each cell, each row and each column of a tensor in space.
+    CellTensors,
 }
 
 /// A row of [`QUANTITIES`].
@@ -86,9 +90,9 @@ const fn quantity(
 }
 
 /// All quantities that units publish for each other, and arrays for anyone.
-pub const QUANTITIES: [Quantity; 11] = {
+pub const QUANTITIES: [Quantity; 13] = {
     use Role::{Flow, Mechanics};
-    use Shape::{Cells, FractureFaces, FractureVectors};
+    use Shape::{CellTensors, CellVectors, Cells, FractureFaces, FractureVectors};
     const FIELD: [bool; 2] = [true, true];
     const SENSITIVITY: [bool; 2] = [true, false];
     const RESULT: [bool; 2] = [false, false];
@@ -160,6 +164,15 @@ pub const QUANTITIES: [Quantity; 11] = {
             "Traction on the plus side in the basis of the face; the normal part is negative in compression",
         ),
         quantity("fracture.contact_state", "1", FractureFaces, Mechanics, RESULT, "Open, stick or slip"),
+        quantity("matrix.displacement", "m", CellVectors, Mechanics, RESULT, "Displacement at the centre of the cell"),
+        quantity(
+            "matrix.displacement_gradient",
+            "1",
+            CellTensors,
+            Mechanics,
+            RESULT,
+            "Gradient of the displacement; row i is that of component i",
+        ),
     ]
 };
 
@@ -184,6 +197,8 @@ impl Sizes {
             Shape::Cells => vec![self.cells],
             Shape::FractureFaces => vec![self.fracture_faces],
             Shape::FractureVectors => vec![self.fracture_faces, self.dim],
+            Shape::CellVectors => vec![self.cells, self.dim],
+            Shape::CellTensors => vec![self.cells, self.dim, self.dim],
         }
     }
 }

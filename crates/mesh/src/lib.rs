@@ -20,6 +20,7 @@ mod lists;
 mod locate;
 mod network;
 mod nodes;
+mod quadrature;
 mod random;
 mod topology;
 mod transform;

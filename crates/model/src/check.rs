@@ -61,6 +61,21 @@ impl Model {
         self.compile(value, scope, &mut Vec::new())
     }
 
+    /// An expression of all variables, of what is under `[define]` and of further `names`, whose values
+    /// [`Function::with`] is given in this order.
+    ///
+    /// # Errors
+    /// An expression that is not sound, or has a name without a meaning.
+    pub fn formula(&self, text: &str, names: &[String]) -> Result<Function, ExpressionError> {
+        parse(text, Scope::All, &mut |name| {
+            if let Some(i) = names.iter().position(|n| n == name) {
+                return Some(Ok(Node::Given(i)));
+            }
+            let meaning = self.compile(self.define.get(name)?, Scope::All, &mut vec![name.to_owned()]);
+            Some(meaning.map(Node::from).map_err(|error| format!("in \"{name}\": {}", error.message)))
+        })
+    }
+
     /// Names under `[define]` whose meaning is being looked up are in `open`.
     fn compile(&self, value: &Value, scope: Scope, open: &mut Vec<String>) -> Result<Function, ExpressionError> {
         match value {

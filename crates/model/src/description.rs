@@ -701,6 +701,8 @@ pub enum Plot {
     FractureProfiles,
     /// Pressure along each fracture (2D) at the output times.
     PressureProfiles,
+    /// Slack of the energy estimate in each time step.
+    Energy,
     /// Residuals of the coupling iterations.
     CouplingConvergence,
 }

@@ -46,7 +46,7 @@ impl Document {
         }
         // Blanks in front make spans count from `start`.
         let padded: Vec<String> = sources.iter().map(|s| " ".repeat(s.start) + &s.text).collect();
-        let mut reader = Reader { sources, problems: Vec::new() };
+        let mut reader = Reader { sources, problems: Vec::new(), changed: Vec::new() };
         let mut tree = reader.parse(&padded[0]);
         for variant in variants {
             match named_variant(&tree, variant) {
@@ -58,16 +58,20 @@ impl Document {
             merge(&mut tree, reader.parse(change));
         }
         reader.fail()?;
-        let model = reader.deserialise(&tree);
-        reader.fail()?;
-        let Some(model) = model else {
+        let Some(model) = reader.deserialise(&tree) else {
+            reader.fail()?;
             let message = "the model cannot be read".to_owned();
             return Err(Problems(vec![Problem { key: String::new(), place: None, message }]).into());
         };
         let mut places = BTreeMap::new();
         list_places("", &tree, &mut places);
-        let document = Self { model, sources: reader.sources, places };
-        document.report(document.model.problems())?;
+        let document = Self { model, sources: reader.sources.clone(), places };
+        for (key, message) in document.model.problems() {
+            if !reader.has_caused(&key, &message) {
+                reader.problem(key.clone(), document.span(&key), message);
+            }
+        }
+        reader.fail()?;
         Ok(document)
     }
 
@@ -199,6 +203,8 @@ fn named_variant<'a>(tree: &DeTable<'a>, name: &str) -> Result<DeTable<'a>, Stri
 struct Reader {
     sources: Vec<Source>,
     problems: Vec<Problem>,
+    /// Paths of what was taken out or put in to read on.
+    changed: Vec<String>,
 }
 
 /// What a required key is given, to read on, where it is left out.
@@ -218,9 +224,25 @@ impl Reader {
         if self.problems.is_empty() {
             return Ok(());
         }
-        let order = |p: &Problem| p.place.as_ref().map_or((usize::MAX, 0), |p| (p.line, p.column));
-        self.problems.sort_by_key(order);
+        let order = |p: &Problem| {
+            let source = |of: &Place| self.sources.iter().position(|s| s.name == of.source);
+            p.place.as_ref().map_or((None, usize::MAX, 0), |p| (source(p), p.line, p.column))
+        };
+        // What has no place comes last.
+        self.problems.sort_by_key(|p| (p.place.is_none(), order(p)));
         Err(Problems(std::mem::take(&mut self.problems)).into())
+    }
+
+    /// Whether a problem with what was read may come of what was taken out or put in: what stands at, in or around it,
+    /// and uses of a definition.
+    fn has_caused(&self, key: &str, message: &str) -> bool {
+        let within = |inner: &str, outer: &str| {
+            outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        self.changed.iter().any(|changed| {
+            let undefined = changed.strip_prefix("define.").map(|name| format!("\"{name}\" is not known"));
+            within(key, changed) || within(changed, key) || undefined.is_some_and(|text| message.contains(&text))
+        })
     }
 
     fn parse<'a>(&mut self, padded: &'a str) -> DeTable<'a> {
@@ -260,9 +282,16 @@ impl Reader {
                 });
                 if let Some(guess) = fits {
                     insert(&mut tree, &key, guess);
+                    self.changed.push(join(&shown, missing));
                     continue;
                 }
+                self.changed.push(shown);
             } else {
+                // The entries of a list move up where one is taken out: none of them is looked at further.
+                let list = shown.rsplit_once('.').filter(|(_, last)| last.parse::<usize>().is_ok());
+                if !error.message().starts_with("unknown field") {
+                    self.changed.push(list.map_or(shown.as_str(), |list| list.0).to_owned());
+                }
                 self.problem(shown, Some(found.unwrap_or(span)), error.message().to_owned());
             }
             if path.is_empty() || !remove(&mut tree, &path) {

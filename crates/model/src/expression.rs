@@ -10,7 +10,8 @@
 //!
 //! So −2^2 is −4 and 2^3^2 is 512, as written in mathematics. Truth is 1 and falsehood 0; what is not 0 counts as
 //! true. Functions: `sin cos tan asin acos atan sinh cosh tanh exp ln log10 sqrt abs floor ceil sign` of one argument,
-//! `atan2` of two, `min` and `max` of two or more, `if(condition, then, else)`; `pi` is a number.
+//! `atan2` of two, `min` and `max` of two or more, `if(condition, then, else)`, and the closed solutions of
+//! [`closed`](crate::closed); `pi` is a number.
 //!
 //! It is our own because the crates that exist read −2^2 as 4 or refuse 2e-3 (exmex 0.21), are no longer kept (meval,
 //! fasteval) or have a licence that does not fit (evalexpr); and none says at which column an error is.
@@ -18,6 +19,8 @@
 use std::sync::Arc;
 
 use mesh::Vec3;
+
+use crate::closed;
 
 /// A name that takes its value from the place where an expression is evaluated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +74,8 @@ pub enum Scope {
     Boundary,
     /// `x`, `y`, `z`, `tip_distance` and `max_tip_distance`.
     Fracture,
+    /// All of them: for what is asked of results.
+    All,
 }
 
 impl Scope {
@@ -83,6 +88,7 @@ impl Scope {
             Self::PlaceAndTime => &[X, Y, Z, T],
             Self::Boundary => &[X, Y, Z, T, CellX, CellY, CellZ],
             Self::Fracture => &[X, Y, Z, TipDistance, MaxTipDistance],
+            Self::All => &[X, Y, Z, T, TipDistance, MaxTipDistance, CellX, CellY, CellZ],
         }
     }
 }
@@ -135,7 +141,12 @@ impl Function {
 
     /// Its value.
     pub fn at(&self, point: &Point) -> f64 {
-        self.0.at(point)
+        self.0.at(point, &[])
+    }
+
+    /// Its value, where it was made with names ([`Model::formula`](crate::Model::formula)) that have these values.
+    pub fn with(&self, point: &Point, values: &[f64]) -> f64 {
+        self.0.at(point, values)
     }
 
     /// Whether it holds: its value is not 0.
@@ -161,24 +172,31 @@ pub struct ExpressionError {
 
 type Unary = fn(f64) -> f64;
 type Binary = fn(f64, f64) -> f64;
+type Ternary = fn(f64, f64, f64) -> f64;
 
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
     Number(f64),
     Variable(Variable),
+    /// One of the values that are given at each evaluation.
+    Given(usize),
     One(Unary, Box<Node>),
     Two(Binary, Box<[Node; 2]>),
+    Three(Ternary, Box<[Node; 3]>),
     If(Box<[Node; 3]>),
 }
 
 impl Node {
-    fn at(&self, point: &Point) -> f64 {
+    fn at(&self, point: &Point, given: &[f64]) -> f64 {
+        let at = |node: &Self| node.at(point, given);
         match self {
             Self::Number(value) => *value,
             Self::Variable(variable) => point.get(*variable),
-            Self::One(f, a) => f(a.at(point)),
-            Self::Two(f, ab) => f(ab[0].at(point), ab[1].at(point)),
-            Self::If(abc) => abc[if abc[0].at(point) != 0.0 { 1 } else { 2 }].at(point),
+            Self::Given(i) => given.get(*i).copied().unwrap_or(f64::NAN),
+            Self::One(f, a) => f(at(a)),
+            Self::Two(f, ab) => f(at(&ab[0]), at(&ab[1])),
+            Self::Three(f, abc) => f(at(&abc[0]), at(&abc[1]), at(&abc[2])),
+            Self::If(abc) => at(&abc[if at(&abc[0]) != 0.0 { 1 } else { 2 }]),
         }
     }
 
@@ -186,12 +204,12 @@ impl Node {
     fn folded(self) -> Self {
         let number = |node: &Self| matches!(node, Self::Number(_));
         let constant = match &self {
-            Self::Number(_) | Self::Variable(_) => false,
+            Self::Number(_) | Self::Variable(_) | Self::Given(_) => false,
             Self::One(_, a) => number(a),
             Self::Two(_, ab) => ab.iter().all(number),
-            Self::If(abc) => abc.iter().all(number),
+            Self::Three(_, abc) | Self::If(abc) => abc.iter().all(number),
         };
-        if constant { Self::Number(self.at(&Point::default())) } else { self }
+        if constant { Self::Number(self.at(&Point::default(), &[])) } else { self }
     }
 }
 
@@ -448,9 +466,16 @@ impl<'a> Parser<'a> {
             "atan2" => Some(f64::atan2),
             "min" => Some(f64::min),
             "max" => Some(f64::max),
+            "terzaghi_pressure" => Some(closed::terzaghi_pressure),
+            "mandel_strain" => Some(closed::mandel_strain),
             _ => None,
         };
-        if one.is_none() && two.is_none() && function != "if" {
+        let three: Option<Ternary> = match function {
+            "mandel_pressure" => Some(closed::mandel_pressure),
+            "mandel_displacement" => Some(closed::mandel_displacement),
+            _ => None,
+        };
+        if one.is_none() && two.is_none() && three.is_none() && function != "if" {
             return Err(Named::Here(format!("\"{function}\" is not a function")));
         }
         self.take("(");
@@ -468,16 +493,17 @@ impl<'a> Parser<'a> {
             };
         }
         if let Some(f) = two {
-            if count < 2 || (function == "atan2" && count > 2) {
+            if count < 2 || (!["min", "max"].contains(&function) && count > 2) {
                 return wrong("two arguments");
             }
             let mut rest = arguments.into_iter();
             let first = rest.next().unwrap_or(Node::Number(f64::NAN));
             return Ok(rest.fold(first, |a, b| Node::Two(f, Box::new([a, b])).folded()));
         }
-        match <[Node; 3]>::try_from(arguments) {
-            Ok(abc) => Ok(Node::If(Box::new(abc)).folded()),
-            Err(_) => wrong("three arguments"),
+        match (<[Node; 3]>::try_from(arguments), three) {
+            (Ok(abc), Some(f)) => Ok(Node::Three(f, Box::new(abc)).folded()),
+            (Ok(abc), None) => Ok(Node::If(Box::new(abc)).folded()),
+            (Err(_), _) => wrong("three arguments"),
         }
     }
 }
@@ -551,6 +577,8 @@ mod tests {
             ("1 2", 3, "not expected"),
             ("", 1, "ends too early"),
             ("if(1, 2)", 1, "three arguments"),
+            ("mandel_pressure(1, 2)", 1, "three arguments"),
+            ("terzaghi_pressure(1, 2, 3)", 1, "two arguments"),
             ("1 + é", 5, "not \"é\""),
             ("..", 1, "not a number"),
         ] {

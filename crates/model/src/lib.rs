@@ -9,6 +9,7 @@
 //! Orchestrator and units share it: each takes its part of a model. It knows neither FMI nor the numerics.
 
 mod check;
+pub mod closed;
 mod description;
 mod document;
 mod error;

@@ -101,6 +101,32 @@ max_iterations = -1
     );
 }
 
+/// What the tables allow is checked although they have keys that they do not know, and what was not readable is not
+/// complained of twice.
+#[test]
+fn unknown_keys_and_ranges_together() {
+    let changes = [
+        "regions.rock.poisson_ratio = 0.5",
+        "regions.rock.colour = 1",
+        "define.c = true",
+        "time.end = -1",
+        "time.ende = 1",
+        "mechanics.traction = [{ on = ['top'], y = 'q' }, { on = 1 }]",
+    ];
+    assert_all(
+        &problems(GOOD, &changes),
+        &[
+            ("regions.rock.poisson_ratio = 0.5:1:30", "must be between"),
+            ("regions.rock.colour = 1:1:14", "unknown field `colour`"),
+            ("define.c = true:1:12", "a number or an expression"),
+            ("time.end = -1:1:12", "after time.start"),
+            ("time.ende = 1:1:6", "unknown field `ende`"),
+            ("mechanics.traction = [{ on = ['top'], y = 'q' }, { on = 1 }]:1:43", "\"q\" is not known"),
+            ("mechanics.traction = [{ on = ['top'], y = 'q' }, { on = 1 }]:1:57", "expected a sequence"),
+        ],
+    );
+}
+
 #[test]
 fn contradictions_and_ranges() {
     let changes = [

@@ -107,9 +107,9 @@ enum Command {
         #[command(flatten)]
         voice: VoiceArguments,
     },
-    /// Runs a model and compares it with its reference, claim by claim
+    /// Runs a model, in all variants that its reference.toml is about, and says of each claim whether it holds
     #[command(after_help = "Examples:\n  orchestrator verify six-fractures\n  \
-                            orchestrator verify six-fractures --variant h0.01")]
+                            orchestrator verify six-fractures --variant default   # this one only")]
     Verify {
         #[command(flatten)]
         model: ModelArguments,
@@ -207,7 +207,7 @@ impl Command {
                 run::run(&case, &output, overwrite, voice.voice())?;
             }
             Self::Resume { folder, voice } => run::resume(&folder, voice.voice())?,
-            Self::Verify { model } => return verify::verify(&model.load()?, &model.variant, &model.set),
+            Self::Verify { model } => return verify::verify(&model.model, &model.variant, &model.set),
             Self::Schema => write!(io::stdout(), "{}", model::schema()).map_err(CliError::Output)?,
             Self::Completions { shell } => {
                 let mut script = Vec::new();

@@ -158,7 +158,7 @@ pub(crate) fn run(case: &Case, output: &Path, overwrite: bool, voice: Voice) -> 
     keep(&paths, folder.path())?;
     drop(temporary);
     let (run, series) = started.run()?;
-    drive(run, &series, &mut folder, voice, parts)
+    drive(run, series, &mut folder, voice, parts)
 }
 
 /// `orchestrator resume`.
@@ -171,7 +171,8 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
     say(voice, &format!("{}: on from time step {number}", document.model.title))?;
     let temporary = pack::temporary("fmus-")?;
     let paths = timed(&mut parts, "packing", || kept(&folder, &document, temporary.path()))?;
-    let started = timed(&mut parts, "start of the units", || start(&paths, &document, folder.mesh()))?;
+    let mut started = timed(&mut parts, "start of the units", || start(&paths, &document, folder.mesh()))?;
+    started.series.goes_on(folder.energy());
     let (run, series) = match &checkpoint {
         Some(checkpoint) => {
             let Started { units, interface, settings, series, .. } = started;
@@ -179,7 +180,7 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
         }
         None => started.run()?,
     };
-    drive(run, &series, &mut folder, voice, parts)
+    drive(run, series, &mut folder, voice, parts)
 }
 
 /// Copies the units into the results, so that they can be gone on with even where other ones lie beside the program.
@@ -228,7 +229,13 @@ fn say(voice: Voice, text: &str) -> Result<(), CliError> {
 }
 
 /// Takes a run to its end.
-fn drive(mut run: Run, series: &Series, folder: &mut Folder, voice: Voice, mut parts: Seconds) -> Result<(), CliError> {
+fn drive(
+    mut run: Run,
+    mut series: Series,
+    folder: &mut Folder,
+    voice: Voice,
+    mut parts: Seconds,
+) -> Result<(), CliError> {
     let model = &folder.manifest().model.toml;
     let end = Document::read("manifest.json", model, &[], &[])?.model.time.end.0;
     let mut totals = Totals { first: folder.last(), ..Totals::default() };

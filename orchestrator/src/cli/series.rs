@@ -3,7 +3,7 @@
 use mesh::Mesh;
 use orchestrator::fmi::{Causality, Description};
 use orchestrator::results::{Array, Scalar, Shape, Snapshot};
-use orchestrator::{CouplingError, Interface, Run, Unit};
+use orchestrator::{CouplingError, EnergyEstimate, Interface, Run, Unit};
 
 /// Outputs that count what an instance did: they are no part of its state, and would not survive a resumed run.
 const WORK: [&str; 1] = ["factorisations"];
@@ -12,8 +12,11 @@ const WORK: [&str; 1] = ["factorisations"];
 pub(crate) struct Series {
     scalars: Vec<Output>,
     arrays: Vec<(Output, Shape)>,
+    /// All arrays that are outputs, recorded or not.
+    fields: Vec<Output>,
     /// Times (s) at which arrays are; empty: at all.
     times: Vec<f64>,
+    energy: EnergyEstimate,
 }
 
 struct Output {
@@ -30,11 +33,23 @@ impl Series {
     pub(crate) fn new(units: &[(&str, &Description)], interface: &Interface, mesh: &Mesh, times: Vec<f64>) -> Self {
         let sensitivities: Vec<&str> =
             interface.fields.iter().filter_map(|f| f.sensitivity.as_ref()).map(|s| s.variable.as_str()).collect();
-        let mut series = Self { scalars: Vec::new(), arrays: Vec::new(), times };
+        let (scalars, arrays, fields) = (Vec::new(), Vec::new(), Vec::new());
+        let mut series = Self { scalars, arrays, fields, times, energy: EnergyEstimate::default() };
         for (unit, &(unit_name, description)) in units.iter().enumerate() {
             for (variable, v) in &description.variables {
                 let left_out = WORK.contains(&variable.as_str()) || sensitivities.contains(&variable.as_str());
-                if v.causality != Causality::Output || !v.is_number() || left_out {
+                if v.causality != Causality::Output || !v.is_number() {
+                    continue;
+                }
+                if ["matrix.", "fracture."].iter().any(|terminal| variable.starts_with(terminal)) {
+                    series.fields.push(Output {
+                        unit,
+                        variable: variable.clone(),
+                        name: variable.clone(),
+                        measure: String::new(),
+                    });
+                }
+                if left_out {
                     continue;
                 }
                 let is_output = |(_, d): &&(&str, &Description)| {
@@ -45,7 +60,7 @@ impl Series {
                 let measure = v.unit.clone().unwrap_or_else(|| "1".into());
                 let output = Output { unit, variable: variable.clone(), name, measure };
                 let shapes: &[Shape] = match variable.split('.').next() {
-                    Some("matrix") => &[Shape::Cells],
+                    Some("matrix") => &[Shape::Cells, Shape::CellVectors],
                     Some("fracture") => &[Shape::FractureFaces, Shape::FractureVectors],
                     _ => &[],
                 };
@@ -59,8 +74,8 @@ impl Series {
         series
     }
 
-    /// The present state of the units.
-    pub(crate) fn snapshot(&self, time: f64, units: &mut [Box<dyn Unit>]) -> Result<Snapshot, CouplingError> {
+    /// The state of the units at the start, or after the time step that follows the last snapshot.
+    pub(crate) fn snapshot(&mut self, time: f64, units: &mut [Box<dyn Unit>]) -> Result<Snapshot, CouplingError> {
         let mut snapshot = Snapshot { time, scalars: Vec::new(), arrays: Vec::new() };
         let mut read = |output: &Output| {
             let mut values = Vec::new();
@@ -78,12 +93,33 @@ impl Series {
                 snapshot.arrays.push(Array::new(&output.name, &output.measure, *shape, read(output)?));
             }
         }
+        self.energy.add(&mut snapshot);
         Ok(snapshot)
     }
 
     /// The state that a run has got to.
-    pub(crate) fn of(&self, run: &mut Run) -> Result<Snapshot, CouplingError> {
+    pub(crate) fn of(&mut self, run: &mut Run) -> Result<Snapshot, CouplingError> {
         let time = run.time();
         self.snapshot(time, run.units())
+    }
+
+    /// Goes on from an energy estimate that has seen the time steps before.
+    pub(crate) fn goes_on(&mut self, energy: &EnergyEstimate) {
+        self.energy = energy.clone();
+    }
+
+    /// Names of the arrays on cells and fracture faces.
+    pub(crate) fn fields(&self) -> impl Iterator<Item = &str> {
+        self.fields.iter().map(|output| output.variable.as_str())
+    }
+
+    /// An array by its name; empty where there is none.
+    pub(crate) fn field(&self, name: &str, units: &mut [Box<dyn Unit>]) -> Result<Vec<f64>, CouplingError> {
+        let mut values = Vec::new();
+        if let Some(output) = self.fields.iter().find(|output| output.variable == name) {
+            let unit = units[output.unit].as_mut();
+            unit.get(name, &mut values).map_err(|error| CouplingError::Unit { unit: unit.name().to_owned(), error })?;
+        }
+        Ok(values)
     }
 }

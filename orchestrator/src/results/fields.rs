@@ -30,16 +30,17 @@ impl Fields {
         }
         let folder = folder.join(FOLDER);
         let name = |kind: &str| format!("{kind}-{number:06}.vtu");
-        let cells: Vec<Field> = (snapshot.arrays.iter())
-            .filter(|array| array.shape == Shape::Cells)
-            .map(|array| Field::scalars(&array.name, &array.values))
-            .collect();
+        let on_cells = |wanted: bool| -> Vec<Parts> {
+            let arrays = snapshot.arrays.iter().filter(|array| array.shape.is_on_cells() == wanted);
+            arrays.map(|array| Parts::new(mesh, array)).collect()
+        };
+        let cells = on_cells(true);
+        let cells: Vec<Field> = cells.iter().flat_map(Parts::fields).collect();
         write_vtu(folder.join(name("matrix")), mesh, &[], &cells)?;
         self.matrix.push((snapshot.time, name("matrix")));
         write_pvd(folder.join("matrix.pvd"), &self.matrix)?;
         if mesh.network().face_count() > 0 {
-            let parts: Vec<Parts> =
-                snapshot.arrays.iter().filter(|a| a.shape != Shape::Cells).map(|a| Parts::new(mesh, a)).collect();
+            let parts = on_cells(false);
             let fields: Vec<Field> = parts.iter().flat_map(Parts::fields).collect();
             write_fracture_vtu(folder.join(name("fractures")), mesh, &fields)?;
             self.fractures.push((snapshot.time, name("fractures")));
@@ -57,8 +58,8 @@ impl Fields {
     }
 }
 
-/// An array on fracture faces as ParaView shows it best: vectors in space, and as `.normal` and `.tangential` their part
-/// along n⁺ and the length of the rest.
+/// An array as ParaView shows it best: vectors in space, and those on fracture faces also as `.normal` and `.tangential`,
+/// their part along n⁺ and the length of the rest.
 pub(crate) struct Parts<'a> {
     array: &'a Array,
     vectors: Vec<Vec3>,
@@ -70,6 +71,10 @@ impl<'a> Parts<'a> {
     pub(crate) fn new(mesh: &Mesh, array: &'a Array) -> Self {
         let names = ["normal", "tangential"].map(|part| format!("{}.{part}", array.name));
         let mut parts = Self { array, vectors: Vec::new(), names, values: [Vec::new(), Vec::new()] };
+        if array.shape == Shape::CellVectors {
+            let vector = |v: &[f64]| Vec3::new(v[0], v[1], v.get(2).copied().unwrap_or(0.0));
+            parts.vectors = array.values.chunks_exact(mesh.dim()).map(vector).collect();
+        }
         if array.shape == Shape::FractureVectors {
             for (&face, v) in mesh.network().faces.iter().zip(array.values.chunks_exact(mesh.dim())) {
                 let n = mesh.geometry().face_normal(face);
@@ -88,11 +93,14 @@ impl<'a> Parts<'a> {
     }
 
     fn fields(&self) -> Vec<Field<'_>> {
-        if self.array.shape != Shape::FractureVectors {
-            return vec![Field::scalars(&self.array.name, &self.array.values)];
+        let name = &self.array.name;
+        match self.array.shape {
+            Shape::Cells | Shape::FractureFaces => vec![Field::scalars(name, &self.array.values)],
+            Shape::CellVectors => vec![Field::vectors(name, &self.vectors)],
+            Shape::FractureVectors => {
+                let parts = self.names.iter().zip(&self.values).map(|(name, values)| Field::scalars(name, values));
+                [Field::vectors(name, &self.vectors)].into_iter().chain(parts).collect()
+            }
         }
-        let mut fields = vec![Field::vectors(&self.array.name, &self.vectors)];
-        fields.extend(self.names.iter().zip(&self.values).map(|(name, values)| Field::scalars(name, values)));
-        fields
     }
 }

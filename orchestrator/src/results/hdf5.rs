@@ -15,7 +15,7 @@
 //! | `iterations/FIELD/worst` | i64 | iterations | entry with the largest residual, −1 where there is none |
 //! | `iterations/UNIT/seconds` | f64 | iterations | wall seconds in the unit |
 //! | `iterations/UNIT/newton_iterations` | i64 | iterations | −1 where the unit does not tell |
-//! | `fields/NUMBER/NAME` | f64 | any, or × dimension | a field after that time step; attribute `time` (s) on the group |
+//! | `fields/NUMBER/NAME` | f64 | any, or × components | a field after that time step; attribute `time` (s) on the group |
 //!
 //! Datasets with a unit of measure have it as attribute `unit`. The mesh is in `mesh.h5`.
 
@@ -25,7 +25,7 @@ use hdf5_metno::types::VarLenUnicode;
 use hdf5_metno::{Dataset, File, Group, H5Type, Location, Result as Hdf5Result};
 
 use super::journal::{Entries, Entry};
-use super::{Manifest, ResultsError, Shape, files, tables};
+use super::{Manifest, ResultsError, files, tables};
 use crate::record::{AttemptOutcome, IterationRecord, StepRecord};
 
 const VERSION: u32 = 1;
@@ -55,7 +55,7 @@ fn put_fields(fields: &Group, dim: usize, entry: &Entry) -> Hdf5Result<()> {
     let group = fields.create_group(&format!("{:06}", entry.record.number))?;
     group.new_attr::<f64>().create("time")?.write_scalar(&entry.snapshot.time)?;
     for array in &entry.snapshot.arrays {
-        let columns = (array.shape == Shape::FractureVectors).then_some(dim);
+        let columns = Some(array.shape.columns(dim)).filter(|&columns| columns > 1);
         let dataset = put(&group, &array.name, &array.values, columns)?;
         text(&dataset, "unit", &array.unit)?;
     }

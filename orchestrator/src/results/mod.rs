@@ -42,6 +42,7 @@ use serde::{Deserialize, Serialize};
 pub use error::ResultsError;
 pub use manifest::{Manifest, MeshNumbers, ModelSource, Quantity, UnitVersion};
 
+use crate::energy::EnergyEstimate;
 use crate::record::{Failure, StepRecord};
 use fields::Fields;
 use journal::{Entries, Entry, Journal};
@@ -83,16 +84,28 @@ pub enum Shape {
     FractureFaces,
     /// Fracture faces × dimension: normal and tangential parts in the basis of each face, n⁺ and [`mesh::tangents`].
     FractureVectors,
+    /// Cells × dimension: components in space.
+    CellVectors,
 }
 
 impl Shape {
+    /// Whether it lives on cells.
+    pub fn is_on_cells(self) -> bool {
+        matches!(self, Self::Cells | Self::CellVectors)
+    }
+
+    /// Number of values for each cell or fracture face, in `dim` dimensions.
+    pub fn columns(self, dim: usize) -> usize {
+        match self {
+            Self::Cells | Self::FractureFaces => 1,
+            Self::CellVectors | Self::FractureVectors => dim,
+        }
+    }
+
     /// Number of values on a mesh.
     pub fn length(self, mesh: &Mesh) -> usize {
-        match self {
-            Self::Cells => mesh.cell_count(),
-            Self::FractureFaces => mesh.network().face_count(),
-            Self::FractureVectors => mesh.network().face_count() * mesh.dim(),
-        }
+        let entities = if self.is_on_cells() { mesh.cell_count() } else { mesh.network().face_count() };
+        entities * self.columns(mesh.dim())
     }
 }
 
@@ -148,6 +161,8 @@ pub struct Folder {
     /// Names and units of the scalars.
     scalars: Vec<(String, String)>,
     last: usize,
+    /// After the time steps that were there when the folder was opened.
+    energy: EnergyEstimate,
     seconds: f64,
 }
 
@@ -226,7 +241,8 @@ impl Folder {
         fields.write(path, &mesh, 0, start)?;
         let tables = Tables::create(path, manifest, start, &tables::rows(&record, start))?;
         let manifest = manifest.clone();
-        Ok(Self { path: path.into(), manifest, mesh, journal, tables, fields, scalars, last: 0, seconds: 0.0 })
+        let energy = EnergyEstimate::default();
+        Ok(Self { path: path.into(), manifest, mesh, journal, tables, fields, scalars, last: 0, energy, seconds: 0.0 })
     }
 
     /// Opens a folder to go on after time step number `last`, or after the last that is complete: drops what lies
@@ -247,10 +263,12 @@ impl Folder {
         let mut rows = <[String; 4]>::default();
         let (mut start, mut reached) = (None, 0);
         let mut fields = Fields::default();
+        let mut energy = EnergyEstimate::default();
         let journal = Journal::reopen(&path.join(JOURNAL), last, |entry| {
             tables::add(&mut rows, &entry);
             reached = entry.record.number;
             let Entry { snapshot, .. } = entry;
+            energy.see(&snapshot.scalars);
             fields.write(path, &mesh, reached, &snapshot)?;
             start.get_or_insert(snapshot);
             Ok(())
@@ -271,6 +289,7 @@ impl Folder {
             fields,
             scalars: names(&start),
             last: reached,
+            energy,
             seconds: clock.elapsed().as_secs_f64(),
         })
     }
@@ -278,6 +297,11 @@ impl Folder {
     /// Number of the last time step in the folder; 0 at the start.
     pub fn last(&self) -> usize {
         self.last
+    }
+
+    /// The energy estimate, to go on with after [`reopen`](Self::reopen).
+    pub fn energy(&self) -> &EnergyEstimate {
+        &self.energy
     }
 
     /// Where it is.

@@ -7,6 +7,7 @@ use serde_json::json;
 use super::chart::{escaped, number, pretty, time};
 use super::plots::{Figure, History};
 use super::{Manifest, Summary};
+use crate::energy::SLACK;
 use crate::record::{Attempt, AttemptOutcome};
 
 const STYLE: &str = "
@@ -62,6 +63,8 @@ pub(crate) struct Totals {
     pub(crate) range: (usize, usize),
     /// Newton iterations of each unit, where it tells.
     pub(crate) newton: Vec<Option<u64>>,
+    /// Smallest slack of the energy estimate, relative to the largest term up to then.
+    pub(crate) slack: Option<f64>,
     /// Name and wall seconds of parts; the units first.
     pub(crate) seconds: Vec<(String, f64)>,
 }
@@ -84,6 +87,7 @@ impl Totals {
             iterations: iterations().count(),
             range: (accepted().min().unwrap_or(0), accepted().max().unwrap_or(0)),
             newton: (0..manifest.units.len()).map(newton).collect(),
+            slack: history.series(SLACK[1]).and_then(|s| s.1.iter().skip(1).copied().reduce(f64::min)),
             seconds,
         }
     }
@@ -98,6 +102,7 @@ impl Totals {
             "failed_attempts": self.failed_attempts,
             "coupling_iterations": self.iterations,
             "newton_iterations": self.newton,
+            "smallest_energy_slack": self.slack,
             "seconds": seconds,
         });
         format!("{summary:#}\n")
@@ -168,6 +173,9 @@ fn facts(manifest: &Manifest, history: &History, totals: &Totals) -> String {
         if let Some(newton) = newton {
             list.push((grouped(*newton as usize), format!("Newton iterations, {}", unit.name)));
         }
+    }
+    if let Some(slack) = totals.slack {
+        list.push((number(slack), "smallest slack of the energy estimate, relative".into()));
     }
     let in_units: f64 = totals.seconds.iter().take(manifest.units.len()).map(|s| s.1).sum();
     list.push((format!("{} s", short(in_units)), "in the units".into()));

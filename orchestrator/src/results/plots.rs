@@ -12,6 +12,7 @@ use super::chart::{
 };
 use super::journal::Entries;
 use super::{Array, Manifest, Quantity, ResultsError, Shape};
+use crate::energy::SLACK;
 use crate::record::{Attempt, AttemptOutcome, Failure, StepRecord};
 
 /// Output times that are drawn, at most: the last one and others evenly before it.
@@ -83,7 +84,7 @@ impl History {
             let mut entry = entry?;
             let number = entry.record.number;
             if chosen.contains(&number) {
-                entry.snapshot.arrays.retain(|array| array.shape != Shape::Cells);
+                entry.snapshot.arrays.retain(|array| !array.shape.is_on_cells());
                 history.shown.push(Shown { number, time: entry.snapshot.time, arrays: entry.snapshot.arrays });
             }
         }
@@ -138,6 +139,17 @@ pub(crate) fn draw(
     if asked(Plot::FractureProfiles) {
         let arrays = [("fracture.displacement_jump", "displacement jump"), ("fracture.traction", "traction")];
         figures.extend(profiles(mesh, history, &arrays)?);
+    }
+    if wanted(Plot::Energy) {
+        let names = [(SLACK[1], "slack", BLUE)];
+        let figure = series(history, "energy-slack", "Slack of the energy estimate", "slack / largest term", &names)?;
+        figures.extend(figure.map(|figure| Figure {
+            caption: "What the discrete energy estimate leaves in each time step, as a part of its largest term up to then: \
+                      what implicit Euler and closing fractures lose. It is not negative, but for the tolerance of the \
+                      coupling."
+                .into(),
+            ..figure
+        }));
     }
     if wanted(Plot::CouplingConvergence) {
         figures.extend(iterations(history)?);
