@@ -194,6 +194,47 @@ fn everything_that_is_wrong_with_a_model_is_said_at_once() {
 }
 
 #[test]
+fn claims_are_held_against_runs() {
+    let text = succeed(&["verify", "six-fractures", "--variant", "default"]);
+    assert!(text.lines().all(|line| !line.starts_with("FAIL")) && text.contains("21 of 21 claims hold"), "{text}");
+    let changed = ["verify", "six-fractures", "--variant", "default", "--set", "regions.rock.young_modulus=5e9"];
+    let output = call(&changed);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("FAIL  matrix_pressure.mean at 500 s") && text.contains("the model is changed"), "{text}");
+}
+
+/// Order 2 in h of Terzaghi's column on its two coarsest levels, a claim that does not hold, and one that cannot be read.
+#[test]
+fn claims_are_orders_too_and_may_be_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("column");
+    fs::create_dir(&model).unwrap();
+    let own = root().join("models/terzaghi");
+    fs::copy(own.join("model.toml"), model.join("model.toml")).unwrap();
+    let name = model.to_str().unwrap();
+    let text = fs::read_to_string(own.join("reference.toml")).unwrap();
+    let levels = "variants = [\"level1\", \"level2\"]";
+    let head = &text[..text.find("[[claims]]").unwrap()];
+    let claims = |order: f64, value: &str| {
+        let order = format!("says = \"its order\"\nvalue = \"error/size\"\nwhen = \"last\"\norder = {order}\nsize = \"h\"\n");
+        let rest = format!("says = \"its errors\"\nvalue = \"{value}\"\nwhen = \"last\"\nat_most = 0.03\n");
+        let text = format!("{head}[[claims]]\n{order}{levels}\n[[claims]]\n{rest}{levels}\n");
+        fs::write(model.join("reference.toml"), text).unwrap();
+    };
+    claims(2.0, "error/size");
+    let text = succeed(&["verify", name]);
+    assert!(text.contains("3 of 3 claims hold") && text.contains("pass  its order"), "{text}");
+    claims(2.2, "10*error/size");
+    let output = call(&["verify", name]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!((output.status.code(), text.matches("FAIL").count()), (Some(1), 3), "{text}");
+    claims(2.0, "eror/size");
+    let text = fail(&["verify", name], 2);
+    assert!(text.contains("its errors") && text.contains("\"eror\" is not known"), "{text}");
+}
+
+#[test]
 fn a_model_of_one_unit_runs_alone_and_is_gone_on_with() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
