@@ -38,8 +38,8 @@ fn problems(text: &str, changes: &[&str]) -> Vec<String> {
 
 #[track_caller]
 fn assert_all(found: &[String], wanted: &[(&str, &str)]) {
-    for (found, (place, part)) in found.iter().zip(wanted) {
-        assert!(found.starts_with(place) && found.contains(part), "{place} {part}: {found}");
+    for (line, (place, part)) in found.iter().zip(wanted) {
+        assert!(line.starts_with(place) && line.contains(part), "{place} {part}: {line}\nof {found:#?}");
     }
     assert_eq!(found.len(), wanted.len(), "{found:#?}");
 }
@@ -83,16 +83,23 @@ max_iterations = -1
             ("model.toml:3:7: mesh.box.low", "two or three numbers, not 4"),
             ("model.toml:4:8: mesh.box.high", "expected a sequence"),
             ("model.toml:6:1: mesh.box.colour", "unknown field `colour`"),
+            ("model.toml:7:10: regions.rock.poisson_ratio", "there is a [mechanics]"),
             ("model.toml:8:17: regions.rock.young_modulus", "ends too early (character 4)"),
             ("model.toml:9:1: regions.rock.poissons_ratio", "unknown field"),
             ("model.toml:10:16: regions.rock.permeability", "numbers (the diagonal) or rows"),
+            ("model.toml:11:10: regions.salt.poisson_ratio", "there is a [mechanics]"),
+            ("model.toml:11:10: regions.salt.permeability", "there is a [flow]"),
             ("model.toml:12:17: regions.salt.young_modulus", "a number or an expression in quotes"),
             ("model.toml:13:1: fractures.a.contact_aperture", "required"),
+            ("model.toml:13:12: fractures.a.normal_permeability", "there is a [flow]"),
             ("model.toml:14:10: fractures.a.friction.coulomb.coefficient", "required"),
             ("model.toml:14:18: fractures.a.friction.coulomb.coefficent", "coefficient"),
+            ("model.toml:15:12: fractures.b.normal_permeability", "there is a [flow]"),
             ("model.toml:16:12: fractures.b.friction", "unknown variant `glue`, expected"),
             ("model.toml:19:24: mechanics.displacement.0.at", "expected a sequence"),
             ("model.toml:19:36: mechanics.displacement.1.at", "two or three numbers, not 4"),
+            ("model.toml:21:1: flow.wells.w", "exactly one of `rate` and `pressure`"),
+            ("model.toml:21:1: flow.wells.w", "exactly one of `index` and `radius`"),
             ("model.toml:21:26: flow.wells.w.rat", "unknown field `rat`"),
             ("model.toml:23:9: coupling.split", "expected one of `fixed_strain`"),
             ("model.toml:24:18: coupling.max_iterations", "usize"),
@@ -139,9 +146,9 @@ fn contradictions_and_ranges() {
         "flow.wells.w = { cell = [1, 1, 1], rate = 1, index = 1 }",
         "coupling = { loose = true, acceleration = 'aitken', criteria = { pressure = { tolerance = 1, floor = 1 } } }",
     ];
-    // `aitken` takes a table.
+    // `aitken` takes a table, which does not hide the rest.
     let found = problems(GOOD, &changes);
-    assert_eq!(found.len(), 1, "{found:#?}");
+    assert!(found.len() > 10 && found.iter().any(|f| f.contains("expected struct variant")), "{found:#?}");
     let mut changes = changes;
     changes[7] = "coupling = { loose = true, acceleration.aitken = {}, criteria.p = { tolerance = 0, floor = 1 } }";
     let found = problems(GOOD, &changes);

@@ -55,7 +55,9 @@ fn run(variant: &str, folder: &Path, changes: &[&str]) -> Outcome<serde_json::Va
     let own = std::env::current_exe()?;
     let program = own.with_file_name(format!("orchestrator{}", std::env::consts::EXE_SUFFIX));
     if !program.is_file() {
-        return Err(format!("{} is not there: build orchestrator, mechanics-unit and flow-unit", program.display()).into());
+        return Err(
+            format!("{} is not there: build orchestrator, mechanics-unit and flow-unit", program.display()).into()
+        );
     }
     let mut command = Command::new(program);
     command.args(["run", "models/six-fractures", "--overwrite", "--json", "--output"]).arg(folder);
