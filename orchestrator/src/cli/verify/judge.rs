@@ -52,9 +52,7 @@ pub(super) struct Verdict<'a> {
     pub(super) claim: &'a Claim,
     value: Function,
     when: Option<Function>,
-    at_least: Option<Function>,
-    at_most: Option<Function>,
-    equals: Option<Function>,
+    bounds: Vec<(Kind, Function)>,
     size: Option<Function>,
     /// How often it was looked at.
     count: usize,
@@ -72,11 +70,18 @@ struct Worst {
     time: f64,
 }
 
+/// What a value must be to a bound.
+#[derive(Clone, Copy)]
+enum Kind {
+    AtLeast,
+    AtMost,
+    Equals,
+}
+
 /// A bound as it is at a time step.
 #[derive(Clone, Copy)]
 struct Bound {
-    /// How it is written.
-    kind: &'static str,
+    kind: Kind,
     at: f64,
     /// What is left to it, relative to itself; below 0 where it does not hold.
     margin: f64,
@@ -171,18 +176,20 @@ impl<'a> Verdict<'a> {
     fn new(claim: &'a Claim, model: &Model, names: &[String], before_measures: &[String]) -> Result<Self, CliError> {
         let what = format!("claim \"{}\"", claim.says);
         let read = |text: &str, names: &[String]| formula(model, &what, text, names);
-        let bound = |value: &Option<Value>| match value {
-            None => Ok(None),
-            Some(Value::Number(value)) => Ok(Some(Function::constant(*value))),
-            Some(Value::Expression(text)) => read(text, names).map(Some),
-        };
+        let kinds = [(Kind::AtLeast, &claim.at_least), (Kind::AtMost, &claim.at_most), (Kind::Equals, &claim.equals)];
+        let mut bounds = Vec::new();
+        for (kind, value) in kinds {
+            match value {
+                None => {}
+                Some(Value::Number(value)) => bounds.push((kind, Function::constant(*value))),
+                Some(Value::Expression(text)) => bounds.push((kind, read(text, names)?)),
+            }
+        }
         Ok(Self {
             claim,
             value: read(&claim.value, names)?,
             when: claim.when.as_deref().map(|text| read(text, before_measures)).transpose()?,
-            at_least: bound(&claim.at_least)?,
-            at_most: bound(&claim.at_most)?,
-            equals: bound(&claim.equals)?,
+            bounds,
             size: claim.size.as_deref().map(|text| read(text, names)).transpose()?,
             count: 0,
             fails: 0,
@@ -201,17 +208,16 @@ impl<'a> Verdict<'a> {
         let value = at(&self.value);
         self.count += 1;
         self.level = self.size.as_ref().map(|size| [at(size), value]);
-        let relative = |difference: f64, bound: f64| difference / bound.abs().max(f64::MIN_POSITIVE);
         let within = self.claim.within.unwrap_or(f64::NAN);
-        let bounds = [
-            ("at least ", &self.at_least, &|b| relative(value - b, b) as f64),
-            ("at most ", &self.at_most, &|b| relative(b - value, b)),
-            ("", &self.equals, &|b: f64| within - ((value - b) / b).abs()),
-        ] as [(&str, &Option<Function>, &dyn Fn(f64) -> f64); 3];
-        for (kind, bound, margin) in bounds {
-            let Some(at) = bound.as_ref().map(at) else { continue };
+        for (kind, bound) in &self.bounds {
+            let (kind, at) = (*kind, at(bound));
+            let relative = |difference: f64| difference / at.abs().max(f64::MIN_POSITIVE);
+            let margin = match kind {
+                Kind::AtLeast => relative(value - at),
+                Kind::AtMost => relative(at - value),
+                Kind::Equals => within - relative(value - at).abs(),
+            };
             // What is not a number is wrong, and worse than all else.
-            let margin = margin(at);
             let margin = if margin.is_nan() { f64::NEG_INFINITY } else { margin };
             self.fails += usize::from(margin < 0.0);
             if self.worst.is_none_or(|worst| margin < worst.bound.margin) {
@@ -231,10 +237,15 @@ impl<'a> Verdict<'a> {
             return Some((false, format!("{}: never looked at ({when} was not reached)", claim.says)));
         };
         let Bound { kind, at, .. } = worst.bound;
-        let (value, mut must) = (number(worst.value), format!("{kind}{}", number(at)));
-        if let Some(within) = claim.within {
-            must += &format!(" ({:+.2} %, allowed {} %)", 100.0 * (worst.value / at - 1.0), 100.0 * within);
-        }
+        let (value, at_text) = (number(worst.value), number(at));
+        let must = match kind {
+            Kind::AtLeast => format!("at least {at_text}"),
+            Kind::AtMost => format!("at most {at_text}"),
+            Kind::Equals => {
+                let (difference, within) = (worst.value / at - 1.0, claim.within.unwrap_or(f64::NAN));
+                format!("{at_text} ({:+.2} %, allowed {} %)", 100.0 * difference, 100.0 * within)
+            }
+        };
         let often = match (self.count, self.fails) {
             (1, _) => String::new(),
             (count, 0) => format!(" (the nearest of {count})"),
