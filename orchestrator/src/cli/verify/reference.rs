@@ -213,10 +213,10 @@ mod tests {
     }
 
     #[test]
-    fn every_model_has_claims_of_variants_that_there_are() {
+    fn claims_are_about_variants_that_there_are() {
         let mut count = 0;
         for folder in models() {
-            let reference = Reference::load(&folder).unwrap().unwrap_or_else(|| panic!("{}", folder.display()));
+            let Some(reference) = Reference::load(&folder).unwrap() else { continue };
             assert!(!reference.claims.is_empty());
             for variant in reference.variants() {
                 let names: Vec<String> = variant.split('+').filter(|v| *v != DEFAULT).map(str::to_owned).collect();
@@ -224,6 +224,7 @@ mod tests {
             }
             count += 1;
         }
+        // C1 to C5, and the three of C6.
         assert_eq!(count, 8);
     }
 
