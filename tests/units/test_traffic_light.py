@@ -1,12 +1,14 @@
 """The traffic light: thresholds with hysteresis, and a fault that does not slip."""
 
 import csv
+import subprocess
+import time
 
 import numpy as np
 import pytest
 from conftest import Instance, build, run
 from fmpy.validation import validate_fmu
-from pack import ROOT
+from pack import ROOT, orchestrator
 
 MODEL = ROOT / "models" / "traffic-light"
 # Where the model looks for it.
@@ -58,3 +60,20 @@ def test_the_fault_slips_without_the_light_and_not_with_it(light, tmp_path):
     assert ((tendency >= 0.92) <= (lit == 2)).all() and ((tendency < 0.85) <= (lit == 0)).all()
     assert set(lit) == {0, 1, 2}
     assert (controlled["rate"] == 1.5e-4 * np.array([1, 0.5, 0])[lit.astype(int)]).all()
+
+
+def test_a_killed_run_goes_on_with_the_light_as_it_was(light, tmp_path):
+    options = ["--variant", "controlled", "--set", "time.step=8640"]
+    whole = run(MODEL, tmp_path / "whole", *options)
+    killed = tmp_path / "killed"
+    process = subprocess.Popen([orchestrator(), "run", MODEL, "--output", killed, "--quiet", *options])
+    # Until it is well on its way.
+    written, part = killed / "journal", (whole / "journal").stat().st_size / 3
+    while not (written.exists() and written.stat().st_size > part):
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.kill()
+    process.wait()
+    assert not (killed / "summary.json").exists()
+    subprocess.run([orchestrator(), "resume", killed, "--quiet"], check=True)
+    assert (killed / "series.csv").read_bytes() == (whole / "series.csv").read_bytes()
