@@ -21,9 +21,7 @@ UNITS = {
     "Pa": dict(kg=1, m=-1, s=-2),
     "1/Pa": dict(kg=-1, m=1, s=2),
     "m/Pa": dict(kg=-1, m=2, s=2),
-    "Pa/m": dict(kg=1, m=-2, s=-2),
     "m2/s": dict(m=2, s=-1),
-    "N": dict(kg=1, m=1, s=-2),
 }
 
 

@@ -6,7 +6,6 @@ Sizes of fracture faces (m), 0.04 0.02 0.01 if none are given. Runs go to result
 import csv
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import matplotlib
@@ -96,7 +95,9 @@ def main(sizes):
             print(f"{label:28} h = {size}:", *(f"{d:.2e}" for d in rows[-1][2:]), flush=True)
 
     with open(PLOTS / "differences.csv", "w", newline="") as file:
-        csv.writer(file).writerows([["unit", "size [m]", *MEANS], *([*row[:2], *(f"{d:.3e}" for d in row[2:])] for row in rows)])
+        table = csv.writer(file)
+        table.writerow(["unit", "size [m]", *MEANS])
+        table.writerows([label, size, *(f"{d:.3e}" for d in row)] for label, size, *row in rows)
     figure, axes = plt.subplots(1, 3, figsize=(12, 4), sharey=True, layout="constrained")
     for i, (axis, mean) in enumerate(zip(axes, MEANS)):
         for label, style in zip(curves, STYLES):

@@ -34,7 +34,7 @@ def test_the_unit_is_valid(light):
 def test_the_light_goes_up_at_once_and_down_late(light, tmp_path):
     unit = Instance(light, tmp_path / "a").start(full_rate=4.0, yellow=0.8, red=0.9, hysteresis=0.05)
     seen = []
-    for signal in [-np.inf, 0.79, 0.8, 0.76, 0.75, 0.9, 0.86, 0.85, 0.76, 0.74, 0.95, 0.7]:
+    for signal in [-np.inf, 0.79, 0.8, 0.76, 0.74, 0.9, 0.86, 0.84, 0.76, 0.74, 0.95, 0.7]:
         unit.set("signal", signal)
         unit.fmu.doStep(0.0, 1.0)
         seen.append((int(unit.get("light")[0]), unit.get("rate")[0]))

@@ -22,9 +22,8 @@ def flux_error(unit, point):
     pressure = point @ gradient
     normal = mesh.face_normal[inner]
     outward = np.sign(np.sum(normal * (point[second] - point[first]), axis=1))[:, None] * normal
-    exact = -mesh.face_measure[inner] * np.einsum(
-        "fi,fij,j->f", outward, unit.permeability[first], gradient
-    ) / unit.viscosity
+    normal_flow = np.einsum("fi,fij,j->f", outward, unit.permeability[first], gradient) / unit.viscosity
+    exact = -mesh.face_measure[inner] * normal_flow
     return np.abs(transmissivity * (pressure[first] - pressure[second]) - exact).max() / np.abs(exact).max()
 
 
@@ -68,7 +67,8 @@ def test_fluid_is_conserved(bisectors, tmp_path):
     length = mesh.face_measure[mesh.fracture_faces]
     aperture, porosity_change = 1.2e-4 + 1e-5 * np.sin(np.arange(len(length))), -1e-4 * np.ones(mesh.cell_count)
     compliance = {"matrix.porosity_compliance": 3e-11, "fracture.aperture_compliance": 1e-11}
-    for name, values in {"matrix.porosity_change": porosity_change, "fracture.aperture": aperture, **compliance}.items():
+    deformation = {"matrix.porosity_change": porosity_change, "fracture.aperture": aperture}
+    for name, values in (deformation | compliance).items():
         instance.set(name, values)
     pressures = lambda: (instance.get("matrix.pressure"), instance.get("fracture.pressure"))
     start, inflow = pressures(), 0.0

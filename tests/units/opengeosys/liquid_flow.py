@@ -5,7 +5,7 @@ host. Requests come by the standard input, answers go to the standard output.
 
 The time step of a simulation is fixed, what it writes to its pressure is not read, and apertures are read once. So each
 time step is a simulation of its own, with the pressure before it as initial condition. It takes any time step, and equal
-requests have equal answers to the last bit.
+requests have equal answers to the last bit. (Importing ogs.OGSMesh makes known what OGSSimulation.mesh returns.)
 """
 
 import os
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-import ogs.OGSMesh  # noqa: F401: registers what OGSSimulation.mesh returns
+import ogs.OGSMesh  # noqa: F401
 from ogs.OGSSimulator import OGSSimulation
 
 from messages import receive, send
@@ -49,15 +49,15 @@ class LiquidFlow:
         self.setup, self.folder = setup, folder
         self.template = (Path(__file__).parent / "project.prj").read_text()
         triangles, segments = setup["triangles"], setup["segments"]
-        self.cells = [("triangle", triangles)] + [("line", segments)] * (len(segments) > 0)
-        fracture = len(setup["permeability"])
-        self.material = [setup["region"].astype(np.int32), np.full(len(segments), fracture, np.int32)][: len(self.cells)]
-        media = [
-            MEDIUM.format(number=i, viscosity=setup["viscosity"], permeability=ROCK.format(values=" ".join(map(repr, k))))
-            for i, k in enumerate(setup["permeability"].reshape(-1, 4).tolist())
-        ]
-        media.append(MEDIUM.format(number=fracture, viscosity=setup["viscosity"], permeability=FRACTURE))
-        self.media = "".join(media)
+        # Without fractures there are no segments.
+        self.cells = [("triangle", triangles), ("line", segments)][: 1 + (len(segments) > 0)]
+        rocks = setup["permeability"].reshape(-1, 4).tolist()
+        self.material = np.append(setup["region"], np.full(len(segments), len(rocks))).astype(np.int32)
+        permeabilities = [ROCK.format(values=" ".join(map(repr, rock))) for rock in rocks] + [FRACTURE]
+        self.media = "".join(
+            MEDIUM.format(number=i, viscosity=setup["viscosity"], permeability=permeability)
+            for i, permeability in enumerate(permeabilities)
+        )
         self.held = {f"held{i}": value for i, value in enumerate(setup["held_pressure"])}
         for i, name in enumerate(self.held):
             faces = setup["held_faces"][setup["held_number"] == i]
@@ -72,7 +72,7 @@ class LiquidFlow:
         Of the request: `step` (s); at the vertices `pressure` (Pa) and `source` (m²/s); in triangles and then segments
         `storage` (1/Pa), `aperture` (m, 1 in triangles) and `permeability` (m², that of segments is used).
         """
-        parts = lambda name: np.split(request[name], [len(self.setup["triangles"])])[: len(self.cells)]
+        by_kind = lambda values: np.split(values, [len(self.setup["triangles"])])[: len(self.cells)]
         meshio.Mesh(
             self.setup["points"],
             self.cells,
@@ -82,10 +82,10 @@ class LiquidFlow:
                 "bulk_node_ids": np.arange(len(self.setup["points"]), dtype=np.uint64),
             },
             cell_data={
-                "MaterialIDs": self.material,
-                "storage": parts("storage"),
-                "aperture": parts("aperture"),
-                "fracture_permeability": parts("permeability"),
+                "MaterialIDs": by_kind(self.material),
+                "storage": by_kind(request["storage"]),
+                "aperture": by_kind(request["aperture"]),
+                "fracture_permeability": by_kind(request["permeability"]),
             },
         ).write(self.folder / "domain.vtu")
         project = self.template.format(

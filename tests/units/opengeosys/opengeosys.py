@@ -60,24 +60,22 @@ class OpenGeoSys(Flow, Fmi3Slave):
         mesh, values, memory = self.mesh, self.values, self.memory
         before = memory["pressure"]
         source = np.zeros(len(before))
-        for name, at, corners, measure in [
-            ("porosity_change", "matrix", self.triangles, mesh.cell_measure),
+        for field, at, corners, measure in [
+            ("porosity", "matrix", self.triangles, mesh.cell_measure),
             ("aperture", "fracture", self.segments, mesh.face_measure[mesh.fracture_faces]),
         ]:
+            name = "porosity_change" if at == "matrix" else field
             excess = before[corners].mean(axis=1) - values[f"{at}.pressure_reference"]
-            compliance = values[f"{at}.{COMPLIANCE[name]}"]
-            change = values[f"{at}.{name}"] + compliance * excess - memory[name]
+            change = values[f"{at}.{name}"] + values[f"{at}.{field}_compliance"] * excess - memory[name]
             part = -measure * change / (corners.shape[1] * step_size)
             np.add.at(source, corners, part[:, None])
-        aperture = memory["aperture"]
+        aperture, storage = memory["aperture"], self.storage + values["matrix.porosity_compliance"]
         send(
             self.process.stdin,
             step=step_size,
             pressure=before,
             source=source,
-            storage=np.concatenate([
-                self.storage + values["matrix.porosity_compliance"], values["fracture.aperture_compliance"] / aperture
-            ]),
+            storage=np.concatenate([storage, values["fracture.aperture_compliance"] / aperture]),
             aperture=np.concatenate([np.ones(mesh.cell_count), aperture]),
             permeability=np.concatenate([np.zeros(mesh.cell_count), aperture**2 / 12]),
         )
@@ -94,9 +92,6 @@ class OpenGeoSys(Flow, Fmi3Slave):
         if self.process:
             self.process.stdin.close()
             self.process.wait()
-
-
-COMPLIANCE = {"porosity_change": "porosity_compliance", "aperture": "aperture_compliance"}
 
 
 def triangles(mesh):

@@ -24,6 +24,8 @@ from scipy.spatial import Voronoi, cKDTree
 RADIUS = np.sqrt(0.5)
 # Sweeps that move the other sites to the centres of their cells.
 SWEEPS = 10
+# Over the radius of a circle: sites that are nearer to its centre would take the vertex there away.
+CLEARANCE = 1.05
 # Over the size: points that are nearer are one.
 SAME = 1e-6
 
@@ -81,13 +83,18 @@ def other_sites(low, high, size, fixed, circles, radius):
     i, j = np.meshgrid(np.arange(columns), np.arange(rows))
     unit = np.column_stack([(i + 0.25 + 0.5 * (j % 2)).ravel() / columns, (j.ravel() + 0.5) / rows])
     sites = low + unit * (high - low)
-    away = lambda x, factor: (np.linalg.norm(x - circles[(near := cKDTree(circles).query(x)[1])], axis=1)) > factor * radius[near]
-    sites = sites[away(sites, 1.05)]
+    tree = cKDTree(circles)
+
+    def is_outside(x):
+        distance, near = tree.query(x)
+        return distance > CLEARANCE * radius[near]
+
+    sites = sites[is_outside(sites)]
     sites = sites[cKDTree(fixed).query(sites)[0] > 0.7 * size]
     for _ in range(SWEEPS):
         every, _ = with_images(np.concatenate([fixed, sites]), low, high, size)
         moved = centres(Voronoi(every), len(fixed) + len(sites))[len(fixed) :]
-        sites = np.where(away(moved, 1.05)[:, None], moved, sites)
+        sites = np.where(is_outside(moved)[:, None], moved, sites)
     return sites
 
 
@@ -131,7 +138,8 @@ def mesh(model, size):
 
     low_site, high_site = couples.min(axis=1), couples.max(axis=1)
     on_fracture = (high_site < 2 * len(pairs)) & (low_site % 2 == 0) & (high_site == low_site + 1)
-    assert on_fracture.sum() == len(pairs), "the size is too large: fractures are too near to each other or the boundary"
+    if on_fracture.sum() != len(pairs):
+        sys.exit("the size is too large: fractures are too near to each other or to the boundary")
     fracture = np.where(on_fracture, fracture_of_pair[np.minimum(low_site // 2, len(pairs) - 1)], -1)
     cell, face = couples.ravel(), np.repeat(np.arange(len(ends)), 2)
     cell, face = cell[cell < len(sites)], face[cell < len(sites)]

@@ -17,7 +17,7 @@ The last two with the aperture at the start of the time step. Where fracture fac
 the pressure at the meeting point is eliminated. At tips and at the boundary nothing flows, but where a pressure is given.
 
 Such fluxes are consistent where the line between the points of neighbours is along K n of their face. The meshes of
-`mesh.py` beside this file are made so. On any other mesh they are not: refining does not help.
+`bisectors.py` are made so. On any other mesh they are not: refining does not help.
 """
 
 from itertools import combinations
