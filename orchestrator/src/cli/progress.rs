@@ -40,7 +40,7 @@ impl Progress {
     /// From the present `time` to the `end` (s); `number` time steps are done. `names` are those of the units.
     pub(crate) fn new(voice: Voice, time: f64, end: f64, number: usize, names: Vec<String>) -> Self {
         let bar = if voice == Voice::Bar { ProgressBar::new(PARTS) } else { ProgressBar::hidden() };
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg}  {eta} left") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:20} {percent:>3} % {eta:>4} left  {wide_msg}") {
             bar.set_style(style);
         }
         bar.enable_steady_tick(Duration::from_millis(200));

@@ -194,7 +194,8 @@ fn keep(paths: &Fmus, folder: &Path) -> Result<(), CliError> {
     let part = folder.join(format!("{UNITS}.part"));
     std::fs::create_dir_all(&part).map_err(CliError::file(&part))?;
     for (name, path) in paths {
-        std::fs::copy(path, part.join(format!("{name}.fmu"))).map_err(CliError::file(path))?;
+        let copy = part.join(format!("{name}.fmu"));
+        std::fs::copy(path, &copy).map_err(CliError::file(&copy))?;
     }
     std::fs::rename(&part, &units).map_err(CliError::file(&units))
 }

@@ -351,6 +351,9 @@ pub(crate) fn number(value: f64) -> String {
     if value == 0.0 {
         return "0".into();
     }
+    if !value.is_finite() {
+        return value.to_string().replace("inf", "∞").replace('-', "−");
+    }
     let size = value.abs().log10().floor();
     if !(-3.0..5.0).contains(&size) {
         let text = format!("{value:.3e}");

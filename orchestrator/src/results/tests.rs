@@ -670,8 +670,8 @@ fn segments_become_lines_and_loops() {
 fn numbers_units_and_dates_are_printed_for_people() {
     use chart::{number, power, pretty, scaled, time};
     assert_eq!(
-        [0.0, 0.25, 312_001.0, -1.5e-7, 7.0546, 1234.5].map(number),
-        ["0", "0.25", "3.12 × 10⁵", "−1.5 × 10⁻⁷", "7.055", "1234"]
+        [0.0, 0.25, 312_001.0, -1.5e-7, 7.0546, 1234.5, f64::NEG_INFINITY].map(number),
+        ["0", "0.25", "3.12 × 10⁵", "−1.5 × 10⁻⁷", "7.055", "1234", "−∞"]
     );
     assert_eq!([-12, 0, 3].map(power), ["10⁻¹²", "1", "10³"]);
     assert_eq!(["m3/s", "N.m", "1", "m2"].map(pretty), ["m³/s", "N m", "", "m²"]);
