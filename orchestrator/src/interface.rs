@@ -106,14 +106,26 @@ impl Interface {
     /// # Errors
     /// [`CouplingError::Field`] where one unit has a field and the other does not.
     pub fn fitted(self, units: &[Box<dyn Unit>]) -> Result<Self, CouplingError> {
+        self.fitted_by(&|unit, variable| units[unit].has(variable), &|unit| units[unit].name().to_owned())
+    }
+
+    /// As [`fitted`](Self::fitted), of units by number: whether one has a variable, and its name.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn fitted_by(
+        self,
+        has: &dyn Fn(usize, &str) -> bool,
+        name: &dyn Fn(usize) -> String,
+    ) -> Result<Self, CouplingError> {
         let mut kept = Vec::new();
         for field in &self.fields {
-            let has = [0, 1].map(|i| units[i].has(&field.name));
-            if has[0] != has[1] {
-                let unit = units[usize::from(has[0])].name().to_owned();
+            let both = [0, 1].map(|unit| has(unit, &field.name));
+            if both[0] != both[1] {
+                let unit = name(usize::from(both[0]));
                 return Err(CouplingError::Field { unit, field: field.name.clone() });
             }
-            kept.push(has[0]);
+            kept.push(both[0]);
         }
         // Fields go with their partners: what is on fractures is there for both or neither.
         let number = |old: usize| kept[..old].iter().filter(|&&k| k).count();
@@ -122,10 +134,10 @@ impl Interface {
         let mut keep = kept.iter();
         fields.retain(|_| keep.next() == Some(&true));
         for field in &mut fields {
-            let (giver, taker) = (&units[field.from], &units[1 - field.from]);
+            let (giver, taker) = (field.from, 1 - field.from);
             field.sensitivity = field.sensitivity.take().filter(|s| {
                 let reference = format!("{}_reference", names[s.partner]);
-                kept[s.partner] && giver.has(&s.variable) && taker.has(&s.variable) && taker.has(&reference)
+                kept[s.partner] && has(giver, &s.variable) && has(taker, &s.variable) && has(taker, &reference)
             });
             if let Some(sensitivity) = &mut field.sensitivity {
                 sensitivity.partner = number(sensitivity.partner);

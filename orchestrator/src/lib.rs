@@ -28,6 +28,7 @@ mod interface;
 mod record;
 pub mod results;
 mod run;
+pub mod ssp;
 mod time;
 mod unit;
 

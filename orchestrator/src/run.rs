@@ -59,11 +59,11 @@ impl Settings {
             return (self, None);
         }
         let lacking = interface.fields.iter().filter(|f| f.sensitivity.is_none()).map(|f| f.name.as_str());
+        let [before, now] =
+            if scheme.first == crate::FLOW { ["fixed stress", "fixed strain"] } else { ["undrained", "drained"] };
         let mut note = format!(
-            "the units do not both have the sensitivities of {}: the split {:?} becomes {} there",
+            "the units do not both have the sensitivities of {}: for these fields the split {before} becomes {now}",
             lacking.collect::<Vec<_>>().join(", "),
-            self.coupling.split,
-            if scheme.first == crate::FLOW { "fixed strain" } else { "drained" },
         );
         if self.coupling.acceleration == Acceleration::None && !self.coupling.loose {
             self.coupling.acceleration = Acceleration::Aitken { initial: Number(0.5) };

@@ -294,6 +294,59 @@ fn units_are_files_that_a_run_can_be_given() {
     assert!(content(Path::new(&own)) == content(Path::new(&given)));
 }
 
+/// A third unit, a flow that is given what mechanics has found: it finds the pressures that the coupled one has.
+#[test]
+fn a_third_unit_is_wired_by_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    succeed(&[&["pack", "models/six-fractures", "--output", &path("")], &COARSE[..]].concat());
+    let unit = format!("units.twin.fmu={:?}", path("six-fractures-flow.fmu"));
+    let wires = ["matrix.porosity_change", "fracture.aperture"]
+        .map(|name| format!("{{from=\"mechanics.{name}\", to=\"twin.{name}\"}}"));
+    let wires = format!("connections=[{}]", wires.join(", "));
+    // Coupled closely, so that both have been given the same.
+    let tight = "coupling.criteria={\"fracture.aperture\"={tolerance=1e-9, floor=1e-5}, \
+                 \"matrix.porosity_change\"={tolerance=1e-9, floor=1e-5}}";
+    let (pair, three) = (path("pair"), path("three"));
+    let run = ["run", "models/six-fractures", "--quiet", "--set", tight, "--output"];
+    succeed(&[&run[..], &[&pair], &COARSE].concat());
+    succeed(&[&run[..], &[&three], &COARSE, &["--set", &unit, "--set", &wires]].concat());
+    let (pair, three) = (Path::new(&pair), Path::new(&three));
+    for name in MEANS {
+        assert_eq!(column(pair, name), column(three, name), "{name}");
+    }
+    for name in &MEANS[1..] {
+        let twin = column(three, &format!("twin.{name}"));
+        assert_eq!(twin.len(), 21);
+        for ((_, found), (time, expected)) in twin.into_iter().zip(column(three, name)) {
+            assert!((found / expected - 1.0).abs() < 1e-4, "{name} at {time} s: {found}, {expected}");
+        }
+    }
+    // A wrong wire is found before anything is run.
+    let wires = wires.replacen("twin.matrix.porosity_change", "twin.fracture.pressure", 1);
+    let wrong = [&["check", "models/six-fractures"], &COARSE[..], &["--set", &unit, "--set", &wires]].concat();
+    let text = fail(&wrong, 2);
+    assert!(text.contains("twin.fracture.pressure: it is no input"), "{text}");
+}
+
+#[test]
+fn a_unit_is_tried_in_its_role() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    succeed(&[&["pack", "models/six-fractures", "--output", &path("")], &COARSE[..]].concat());
+    let fmu = path("six-fractures-mechanics.fmu");
+    let text = succeed(&[&["check-unit", &fmu, "six-fractures"], &COARSE[..]].concat());
+    for part in
+        ["as the mechanics of", "has    fracture.aperture\n", "gives the same bits", "a coupled time step of 100 s"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert!(!text.contains("lacks") && !text.contains("WRONG"), "{text}");
+    let output = call(&[&["check-unit", &fmu, "six-fractures", "--role", "flow"], &COARSE[..]].concat());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.code() == Some(1) && text.contains("WRONG  matrix.pressure is no output"), "{text}");
+}
+
 #[test]
 fn a_failure_says_which_field_and_where_and_leaves_the_results() {
     let folder = tempfile::tempdir().unwrap();

@@ -49,11 +49,11 @@ impl Case {
         units.insert(name.to_owned(), ForeignUnit { fmu, parameters });
     }
 
-    /// The units that the model has.
+    /// The units that are made from the model.
     pub(crate) fn units(&self) -> impl Iterator<Item = &'static str> {
         let model = &self.document.model;
         let units = [("mechanics", model.mechanics.is_some()), ("flow", model.flow.is_some())];
-        units.into_iter().filter(|unit| unit.1).map(|unit| unit.0)
+        units.into_iter().filter(|(name, is_own)| *is_own && !model.units.contains_key(*name)).map(|unit| unit.0)
     }
 
     /// A few lines for people.

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use model::ModelError;
 use orchestrator::CouplingError;
-use orchestrator::fmi::{FmuError, WiringError};
+use orchestrator::fmi::FmuError;
 use orchestrator::results::ResultsError;
 
 /// Why a command fails.
@@ -34,9 +34,6 @@ pub(crate) enum CliError {
     /// An FMU cannot be loaded.
     #[error(transparent)]
     Fmu(#[from] FmuError),
-    /// The units cannot be connected.
-    #[error(transparent)]
-    Wiring(#[from] WiringError),
     /// The coupling stopped.
     #[error("{error}{places}{left}")]
     Coupling { error: CouplingError, places: String, left: String },
@@ -61,7 +58,7 @@ impl CliError {
 
     pub(crate) fn code(&self) -> ExitCode {
         match self {
-            Self::Model(_) | Self::NoModel { .. } | Self::Unfit(_) | Self::Wiring(_) => ExitCode::from(2),
+            Self::Model(_) | Self::NoModel { .. } | Self::Unfit(_) => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }
     }

@@ -13,6 +13,7 @@ mod places;
 mod progress;
 mod run;
 mod series;
+mod unit;
 mod verify;
 
 use std::io::{self, IsTerminal, Write};
@@ -21,6 +22,7 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
+use coupling::Role;
 
 use case::Case;
 use error::CliError;
@@ -75,9 +77,24 @@ enum Command {
     Pack {
         #[command(flatten)]
         model: ModelArguments,
-        /// Folder for NAME-mechanics.fmu and NAME-flow.fmu
+        /// Folder for NAME-mechanics.fmu and NAME-flow.fmu, the mesh NAME-mesh.h5 and the model NAME-model.toml
         #[arg(short, long, default_value = ".")]
         output: PathBuf,
+        /// Also writes NAME.ssp: all units and their wiring as an archive of the standard SSP 2.0
+        #[arg(long)]
+        ssp: bool,
+    },
+    /// Tries an FMU as flow or mechanics of a model: what it offers and lacks, and a coupled time step
+    #[command(after_help = "Examples:\n  orchestrator check-unit other.fmu six-fractures\n  \
+                            orchestrator check-unit other.fmu models/terzaghi --role mechanics")]
+    CheckUnit {
+        /// The FMU, of FMI 3.0 or 2.0
+        fmu: PathBuf,
+        #[command(flatten)]
+        model: ModelArguments,
+        /// What it is to be [default: what it fits better]
+        #[arg(long, value_parser = ["flow", "mechanics"])]
+        role: Option<String>,
     },
     /// Runs a model: packs its units, couples them, writes results
     #[command(after_help = RUN_EXAMPLES)]
@@ -183,18 +200,45 @@ impl Command {
             Self::Check { model } => {
                 let case = model.load()?;
                 let mesh = case.mesh()?;
-                writeln!(io::stdout(), "{}", case.describe(&mesh)).map_err(CliError::Output)?;
+                let text = format!("{}\nmesh fingerprint: {}", case.describe(&mesh), mesh.fingerprint());
+                writeln!(io::stdout(), "{text}").map_err(CliError::Output)?;
+                let model = &case.document.model;
+                if !model.units.is_empty() || !model.connections.is_empty() {
+                    let temporary = pack::temporary("fmus-")?;
+                    let paths = run::fmus(&case.document, &mesh, temporary.path())?;
+                    run::open(&paths, &case.document, &mesh)?;
+                }
             }
-            Self::Pack { model, output } => {
+            Self::Pack { model, output, ssp } => {
                 let case = model.load()?;
                 let mesh = case.mesh()?;
                 std::fs::create_dir_all(&output).map_err(CliError::file(&output))?;
-                let path = |unit| output.join(format!("{}-{unit}.fmu", case.name));
-                let units = case.units().map(|unit| (unit, path(unit))).collect::<Vec<_>>();
+                let path = |rest: String| output.join(format!("{}{rest}", case.name));
+                let units: Vec<_> = case.units().map(|unit| (unit, path(format!("-{unit}.fmu")))).collect();
                 pack::pack(&case.document, &mesh, &units)?;
-                for (_, path) in units {
+                let mut written: Vec<PathBuf> = units.iter().map(|(_, path)| path.clone()).collect();
+                written.extend(pack::resources(
+                    &case.document,
+                    &mesh,
+                    &path("-model.toml".into()),
+                    &path("-mesh.h5".into()),
+                )?);
+                if ssp {
+                    let path = path(".ssp".into());
+                    run::open(&run::placed(&case.document, &units), &case.document, &mesh)?.write_ssp(
+                        &case.name,
+                        &case.document,
+                        &path,
+                    )?;
+                    written.push(path);
+                }
+                for path in written {
                     writeln!(io::stdout(), "{}", path.display()).map_err(CliError::Output)?;
                 }
+            }
+            Self::CheckUnit { fmu, model, role } => {
+                let role = role.map(|name| if name == "flow" { Role::Flow } else { Role::Mechanics });
+                return unit::check_unit(model.load()?, fmu, role);
             }
             Self::Run { model, output, overwrite, mechanics, flow, voice } => {
                 let mut case = model.load()?;

@@ -16,14 +16,12 @@ pub(crate) fn pack(document: &Document, mesh: &Mesh, units: &[(&str, PathBuf)]) 
         return Ok(());
     }
     let programs = programs(units)?;
-    let resources = temporary("resources-")?;
-    let file = resources.path().join("model.toml");
-    std::fs::write(&file, document.to_toml()).map_err(CliError::file(&file))?;
-    mesh_io::write_hdf5(resources.path().join("mesh.h5"), mesh.data())?;
+    let folder = temporary("resources-")?;
+    resources(document, mesh, &folder.path().join("model.toml"), &folder.path().join("mesh.h5"))?;
     let mut running = Vec::new();
     for ((_, fmu), program) in units.iter().zip(programs) {
         let mut command = Command::new(&program);
-        command.arg(resources.path()).arg(fmu).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        command.arg(folder.path()).arg(fmu).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let child = command.spawn().map_err(CliError::file(&program))?;
         running.push((program, child));
     }
@@ -41,6 +39,23 @@ pub(crate) fn pack(document: &Document, mesh: &Mesh, units: &[(&str, PathBuf)]) 
         first = first.and(result);
     }
     first
+}
+
+/// Writes what travels in units: the mesh, and the model without its other units.
+pub(crate) fn resources(
+    document: &Document,
+    mesh: &Mesh,
+    model_file: &Path,
+    mesh_file: &Path,
+) -> Result<[PathBuf; 2], CliError> {
+    let mut document = document.clone();
+    document.model.units.clear();
+    document.model.connections.clear();
+    let part = model_file.with_extension("toml.part");
+    let write = || std::fs::write(&part, document.to_toml()).and_then(|()| std::fs::rename(&part, model_file));
+    write().map_err(CliError::file(model_file))?;
+    mesh_io::write_hdf5(mesh_file, mesh.data())?;
+    Ok([model_file.to_owned(), mesh_file.to_owned()])
 }
 
 /// A temporary folder.

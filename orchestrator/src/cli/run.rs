@@ -7,9 +7,10 @@ use std::time::Instant;
 use coupling::{Role, Sizes};
 use mesh::Mesh;
 use model::Document;
-use orchestrator::fmi::{self, Fit, Fmu, FmuUnit};
+use orchestrator::fmi::{self, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
-use orchestrator::{Checkpoint, CouplingError, FLOW, Interface, MECHANICS, Run, Settings, StepRecord, Unit};
+use orchestrator::ssp;
+use orchestrator::{Checkpoint, CouplingError, Interface, Run, Settings, StepRecord, Unit};
 use serde_json::json;
 
 use super::case::{Case, as_strs};
@@ -19,12 +20,6 @@ use super::places::places;
 use super::progress::{Progress, Voice, newton, seconds};
 use super::series::Series;
 
-/// Names of the units that are coupled, in the order of their numbers.
-const NAMES: [&str; 2] = {
-    let mut names = [""; 2];
-    (names[FLOW], names[MECHANICS]) = ("flow", "mechanics");
-    names
-};
 /// Units by name, in the order of their numbers.
 type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
@@ -41,7 +36,7 @@ pub(crate) struct Started {
     settings: Settings,
     versions: Vec<UnitVersion>,
     /// How the run is adapted to its units.
-    notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
 }
 
 /// The FMUs of a model: those that it names, and its own, which are packed into `folder`.
@@ -52,47 +47,101 @@ pub(crate) fn fmus(document: &Document, mesh: &Mesh, folder: &Path) -> Result<Fm
     let own: Vec<(&str, PathBuf)> =
         model.unit_names().into_iter().filter(is_own).map(|name| (name, path(name))).collect();
     pack::pack(document, mesh, &own)?;
-    let fmu = |name: &str| model.units.get(name).map_or_else(|| path(name), |unit| unit.fmu.clone());
-    Ok(model.unit_names().into_iter().map(|name| (name.to_owned(), fmu(name))).collect())
+    Ok(placed(document, &own))
+}
+
+/// The FMUs of a model with its own ones where they are.
+pub(crate) fn placed(document: &Document, own: &[(&str, PathBuf)]) -> Fmus {
+    let model = &document.model;
+    let fmu = |name: &str| match model.units.get(name) {
+        Some(unit) => unit.fmu.clone(),
+        None => own.iter().find(|(own, _)| *own == name).map_or_else(PathBuf::new, |(_, path)| path.clone()),
+    };
+    model.unit_names().into_iter().map(|name| (name.to_owned(), fmu(name))).collect()
+}
+
+/// FMUs that fit the model.
+pub(crate) struct Opened {
+    /// In the order of their numbers.
+    fmus: Vec<(String, PathBuf, Fmu)>,
+    interface: Interface,
+}
+
+/// Loads units and compares their descriptions with the model.
+pub(crate) fn open(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<Opened, CliError> {
+    let model = &document.model;
+    let (mut fmus, mut problems, mut coupled) = (Vec::new(), Vec::new(), 0);
+    for (name, path) in paths {
+        let mut fmu = Fmu::open(path)?;
+        if let Some(role) = [Role::Flow, Role::Mechanics].into_iter().find(|role| role.name() == name) {
+            let fit = fmu.fit(role, sizes(mesh));
+            problems.extend(fit.problems.iter().map(|problem| format!("\n  {name}: {problem}")));
+            coupled += 1;
+        }
+        if !fmu.description().takes_any_step && model.time.adaptive.is_some() {
+            problems.push(format!("\n  {name}: it takes time steps of one size only, and those of the model adapt"));
+        }
+        for (variable, value) in model.units.get(name).iter().flat_map(|unit| &unit.parameters) {
+            let problem = fmu.description().start_problem(variable, value);
+            problems.extend(problem.map(|problem| format!("\n  {name}: the parameter {variable} {problem}")));
+        }
+        fmus.push((name.clone(), path.clone(), fmu));
+    }
+    let mut interface = if coupled == 2 { Interface::poroelastic() } else { Interface::single() };
+    let descriptions: Vec<_> = fmus.iter().map(|(name, _, fmu)| (name.as_str(), fmu.description())).collect();
+    match fmi::connections(&model.connections, &interface, &descriptions) {
+        Ok(connections) => interface.connections = connections,
+        Err(error) => problems.extend(error.problems.iter().map(|problem| format!("\n  {problem}"))),
+    }
+    if problems.is_empty() {
+        Ok(Opened { fmus, interface })
+    } else {
+        Err(CliError::Unfit(format!("the units do not fit the model:{}", problems.concat())))
+    }
+}
+
+impl Opened {
+    /// Writes the units and their wiring as an SSP archive.
+    pub(crate) fn write_ssp(&self, name: &str, document: &Document, path: &Path) -> Result<(), CliError> {
+        let model = &document.model;
+        // In their own units of measure, not in those of their roles.
+        let component = |(name, fmu, _): &(String, PathBuf, Fmu)| -> Result<_, CliError> {
+            let description = Fmu::open(fmu)?.description().clone();
+            let parameters = fmi::parameters(name, &description, model);
+            Ok(ssp::Component { name: name.clone(), fmu: fmu.clone(), description, parameters })
+        };
+        let components = self.fmus.iter().map(component).collect::<Result<Vec<_>, _>>()?;
+        let has = |unit: usize, variable: &str| components[unit].description.variables.contains_key(variable);
+        let interface = self.interface.clone().fitted_by(&has, &|unit| components[unit].name.clone())?;
+        let (settings, _) = Settings::of(model).fitted(&interface);
+        let span = [model.time.start.0, model.time.end.0];
+        let title = &model.title;
+        let system = ssp::System { name, title, components, interface: &interface, scheme: settings.scheme, span };
+        system.write(path).map_err(CliError::file(path))
+    }
 }
 
 /// Loads and initialises units.
 pub(crate) fn start(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<Started, CliError> {
     let model = &document.model;
-    let (mut fmus, mut problems, mut notes) = (Vec::new(), Vec::new(), Vec::new());
-    for (name, path) in paths {
-        let mut fmu = Fmu::open(path)?;
-        let role = [Role::Flow, Role::Mechanics].into_iter().find(|role| role.name() == name);
-        let fit = role.map_or_else(Fit::default, |role| fmu.fit(role, sizes(mesh)));
-        problems.extend(fit.problems.iter().map(|problem| format!("\n  {name}: {problem}")));
-        if !fmu.description().takes_any_step && model.time.adaptive.is_some() {
-            problems.push(format!("\n  {name}: it takes time steps of one size only, and those of the model adapt"));
-        }
-        fmus.push(fmu);
-    }
-    if !problems.is_empty() {
-        return Err(CliError::Unfit(format!("the units do not fit the model:{}", problems.concat())));
-    }
-    let descriptions: Vec<_> =
-        paths.iter().zip(&fmus).map(|((name, _), fmu)| (name.as_str(), fmu.description())).collect();
-    let is_pair = paths.iter().filter(|(name, _)| NAMES.contains(&name.as_str())).count() == 2;
-    let mut interface = if is_pair { Interface::poroelastic() } else { Interface::single() };
-    interface.connections = fmi::connections(&model.connections, &interface, &descriptions)?;
-    let make = |((name, _), fmu): (&(String, PathBuf), &Fmu)| fmu.instantiate(name);
-    let mut units = paths.iter().zip(&fmus).map(make).collect::<Result<Vec<_>, _>>()?;
+    let Opened { fmus, interface } = open(paths, document, mesh)?;
+    let mut notes = Vec::new();
+    let descriptions: Vec<_> = fmus.iter().map(|(name, _, fmu)| (name.as_str(), fmu.description())).collect();
+    let mut units = fmus.iter().map(|(name, _, fmu)| fmu.instantiate(name)).collect::<Result<Vec<_>, _>>()?;
     fmi::start(&mut units, &interface, model)?;
-    let iterates = is_pair && !model.coupling.loose;
+    let iterates = interface.coupled > 1 && !model.coupling.loose;
     for (number, unit) in units.iter_mut().enumerate() {
         check_mesh(unit, mesh)?;
         let name = unit.name();
         if iterates && number < interface.coupled && !unit.can_roll_back() {
             notes.push(format!(
                 "{name} cannot go back: its time steps are done again from the start in every coupling iteration, which \
-                 takes time with the square of their number; --set coupling.loose=true does without"
+                 takes time with the square of their number; --set coupling.loose=true --set \
+                 coupling.acceleration=none does without"
             ));
         }
         if !iterates && number < interface.coupled && !unit.can_serialise() {
-            notes.push(format!("the state of {name} cannot be kept: this run cannot be resumed once it is stopped"));
+            notes.push(format!("the state of {name} cannot be kept: resuming this run starts it anew"));
         }
     }
     let coupled = interface.coupled;
@@ -129,6 +178,11 @@ fn check_mesh(unit: &mut FmuUnit, mesh: &Mesh) -> Result<(), CliError> {
 }
 
 impl Started {
+    /// A unit, to be tried.
+    pub(crate) fn unit(&mut self, number: usize) -> &mut dyn Unit {
+        self.units[number].as_mut()
+    }
+
     /// The run from its start.
     pub(crate) fn run(self) -> Result<(Run, Series), CliError> {
         Ok((Run::new(self.units, self.interface, self.settings)?, self.series))

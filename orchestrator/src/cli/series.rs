@@ -55,7 +55,9 @@ impl Series {
                 let is_output = |(_, d): &&(&str, &Description)| {
                     d.variables.get(variable).is_some_and(|p| p.causality == Causality::Output)
                 };
-                let is_twice = units.iter().filter(is_output).count() > 1;
+                // What follows leaves the coupled units their names.
+                let rivals = if unit < interface.coupled { &units[..interface.coupled] } else { units };
+                let is_twice = rivals.iter().filter(is_output).count() > 1;
                 let name = if is_twice { format!("{unit_name}.{variable}") } else { variable.clone() };
                 let measure = v.unit.clone().unwrap_or_else(|| "1".into());
                 let output = Output { unit, variable: variable.clone(), name, measure };

@@ -66,6 +66,8 @@ pub struct Variable {
     pub unit: Option<String>,
     /// From what the C functions have to this unit of measure.
     pub conversion: Conversion,
+    /// Its dimensions; none for a scalar.
+    pub dimensions: Vec<usize>,
     /// Number of entries: the product of its dimensions, 1 for a scalar.
     pub size: usize,
 }
@@ -223,7 +225,8 @@ impl Description {
                 continue;
             }
             let references: Vec<u32> = members.values().map(|m| of(m).references[0]).collect();
-            let array = Variable { name: base.clone(), size: references.len(), references, ..model.clone() };
+            let (name, size) = (base.clone(), references.len());
+            let array = Variable { name, dimensions: vec![size], size, references, ..model.clone() };
             members.values().for_each(|name| drop(self.variables.remove(name)));
             self.variables.insert(base, array);
         }
@@ -244,6 +247,7 @@ impl Sizes {
             let size = start.or(of_reference).and_then(|n| usize::try_from(n).ok());
             let size = size.ok_or_else(|| format!("a dimension of \"{name}\" has no size"))?;
             if let Some(variable) = variables.get_mut(&name) {
+                variable.dimensions.push(size);
                 variable.size = variable.size.checked_mul(size).ok_or_else(|| format!("\"{name}\" is too large"))?;
             }
         }
@@ -276,7 +280,8 @@ fn read_variable(e: &BytesStart<'_>) -> Result<Variable, String> {
         other => variable_type(other),
     };
     let unit = attribute(e, "unit")?;
-    Ok(Variable { name, references: vec![reference], ty, causality, unit, conversion: Conversion::NONE, size: 1 })
+    let (references, conversion, dimensions) = (vec![reference], Conversion::NONE, Vec::new());
+    Ok(Variable { name, references, ty, causality, unit, conversion, dimensions, size: 1 })
 }
 
 /// The type that an element names. Enumerations are those of FMI 2.

@@ -11,6 +11,13 @@ pub struct Measure {
     pub offset: f64,
 }
 
+impl Measure {
+    /// Base units with their exponents.
+    pub fn base(&self) -> impl Iterator<Item = (&'static str, i32)> + '_ {
+        BASE_UNITS.into_iter().zip(self.exponents)
+    }
+}
+
 /// Names of the attributes of a `BaseUnit`.
 pub(crate) const BASE_UNITS: [&str; 8] = ["kg", "m", "s", "A", "K", "mol", "cd", "rad"];
 

@@ -25,6 +25,7 @@ pub use unit::{Fmu, FmuUnit};
 pub use wiring::{WiringError, connections};
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use model::Parameter;
@@ -42,19 +43,12 @@ const FINGERPRINT: &str = "mesh.fingerprint";
 /// # Errors
 /// [`CouplingError::Mesh`]; [`CouplingError::Unit`].
 pub fn start(units: &mut [FmuUnit], interface: &Interface, model: &model::Model) -> Result<(), CouplingError> {
-    let sensitivity = &model.coupling.sensitivity;
-    let parameters = [
-        ("porosity_compliance.factor", sensitivity.matrix_compliance_factor),
-        ("aperture_compliance.floor", sensitivity.fracture_compliance_floor_factor),
-    ];
-    let foreign = |unit: &FmuUnit| model.units.get(unit.name());
+    let foreign = |unit: &FmuUnit| model.units.contains_key(unit.name());
     let mut order: Vec<usize> = (0..units.len()).collect();
-    order.sort_by_key(|&unit| (foreign(&units[unit]).is_some(), Reverse(unit)));
+    order.sort_by_key(|&unit| (foreign(&units[unit]), Reverse(unit)));
     let mut started = vec![false; units.len()];
     for number in order {
         let mut starts: Vec<(String, Parameter)> = Vec::new();
-        let own = parameters.iter().filter(|(name, _)| units[number].has(name));
-        starts.extend(own.map(|(name, value)| ((*name).to_owned(), Parameter::Number(value.0))));
         let from_partner = |f: &&Field| number < interface.coupled && f.from != number && started[f.from];
         for field in interface.fields.iter().filter(from_partner) {
             if units[field.from].has(&field.name) && units[number].has(&field.name) {
@@ -63,9 +57,7 @@ pub fn start(units: &mut [FmuUnit], interface: &Interface, model: &model::Model)
                 starts.push((field.name.clone(), Parameter::Numbers(values)));
             }
         }
-        if let Some(description) = foreign(&units[number]) {
-            starts.extend(description.parameters.clone());
-        }
+        starts.extend(parameters(units[number].name(), units[number].fmu().description(), model));
         let unit = &mut units[number];
         let result = starts.iter().try_for_each(|(name, value)| unit.set_start(name, value));
         let result = result.and_then(|()| unit.initialise(model.time.start.0, model.time.end.0));
@@ -81,6 +73,20 @@ pub fn start(units: &mut [FmuUnit], interface: &Interface, model: &model::Model)
         }
     }
     Ok(())
+}
+
+/// The parameters that a model sets in a unit: those of the coupling that it has, and those under its name.
+pub fn parameters(name: &str, description: &Description, model: &model::Model) -> BTreeMap<String, Parameter> {
+    let sensitivity = &model.coupling.sensitivity;
+    let coupling = [
+        ("porosity_compliance.factor", sensitivity.matrix_compliance_factor),
+        ("aperture_compliance.floor", sensitivity.fracture_compliance_floor_factor),
+    ];
+    let own = coupling.iter().filter(|(name, _)| description.variables.contains_key(*name));
+    let mut parameters: BTreeMap<_, _> =
+        own.map(|(name, value)| ((*name).to_owned(), Parameter::Number(value.0))).collect();
+    parameters.extend(model.units.get(name).map(|unit| unit.parameters.clone()).unwrap_or_default());
+    parameters
 }
 
 /// The fingerprint of a unit's mesh, if it publishes one.

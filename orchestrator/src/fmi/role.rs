@@ -2,6 +2,8 @@
 
 use coupling::{QUANTITIES, Quantity, Role, Shape, Sizes};
 
+use model::Parameter;
+
 use super::description::{Causality, Description, Variable, VariableType};
 use super::measure::{Conversion, Measure};
 
@@ -100,6 +102,24 @@ impl Description {
     }
 }
 
+impl Description {
+    /// What is wrong with a start value.
+    pub fn start_problem(&self, variable: &str, value: &Parameter) -> Option<String> {
+        let Some(found) = self.variables.get(variable) else { return Some("is no variable of it".into()) };
+        let size = match value {
+            Parameter::Numbers(values) => values.len(),
+            _ => 1,
+        };
+        let is_text = matches!(value, Parameter::Text(_));
+        let fits = if is_text { found.ty == VariableType::String } else { found.is_number() };
+        match (found.causality, fits) {
+            (Causality::Output, _) => Some("is an output".into()),
+            (_, false) => Some(if is_text { "is no text".into() } else { "is no number".into() }),
+            _ => (size != found.size).then(|| format!("has {} entries, not {size}", found.size)),
+        }
+    }
+}
+
 impl Variable {
     /// Whether its values are numbers or truth values.
     pub fn is_number(&self) -> bool {
@@ -169,6 +189,12 @@ mod tests {
                 "matrix.porosity_change: \"mm\" cannot be converted to \"1\": they measure different things",
             ]
         );
+        let start = |variable: &str, value| flow(|xml| xml).start_problem(variable, &value);
+        assert_eq!(start("fracture.aperture", Parameter::Numbers(vec![1.0; 2])), None);
+        assert_eq!(start("fracture.aperture", Parameter::Number(1.0)).unwrap(), "has 2 entries, not 1");
+        assert_eq!(start("fracture.aperture", Parameter::Text("1".into())).unwrap(), "is no text");
+        assert_eq!(start("matrix.pressure", Parameter::Numbers(vec![1.0; 3])).unwrap(), "is an output");
+        assert_eq!(start("aperture", Parameter::Flag(true)).unwrap(), "is no variable of it");
         // As mechanics it has everything the wrong way round.
         assert_eq!(flow(|xml| xml).fit(Role::Mechanics, SIZES).problems.len(), 4);
     }

@@ -137,6 +137,9 @@ pub(crate) fn page(
     for paragraph in manifest.model.description.split("\n\n").filter(|p| !p.trim().is_empty()) {
         html += &format!("<p class=\"about\">{}</p>\n", escaped(paragraph.trim()));
     }
+    for note in &manifest.notes {
+        html += &format!("<p class=\"about\">Note: {}</p>\n", escaped(note));
+    }
     html += &facts(manifest, history, totals);
     if let Some(failure) = &summary.failure {
         html += &format!("<h2>Why it stopped</h2>\n<pre>{}</pre>\n", escaped(&failure.to_string()));
