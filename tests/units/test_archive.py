@@ -69,6 +69,29 @@ def test_the_archive_satisfies_the_schema_and_its_units(packed):
     assert used == set(connectors)
 
 
+def test_a_third_unit_is_in_the_archive(packed, tmp_path):
+    """A second flow that is given what mechanics finds, with a parameter and a list of start values."""
+    fmu, name = packed / "six-fractures-flow.fmu", "matrix.porosity_change"
+    cells = next(v for v in fmpy.read_model_description(str(fmu)).modelVariables if v.name == name).dimensions[0].start
+    starts = [i * 1e-9 for i in range(int(cells))]
+    unit = f'units.twin={{fmu="{fmu}", parameters={{"matrix_pressure_stiffness.cap"=1e12, "{name}"={starts}}}}}'
+    wire = f'connections=[{{from="mechanics.{name}", to="twin.{name}"}}]'
+    changes = [*COARSE, "--set", unit, "--set", wire]
+    subprocess.run([orchestrator(), "pack", SIX, "--output", tmp_path, "--ssp", *changes], check=True)
+    with zipfile.ZipFile(tmp_path / "six-fractures.ssp") as archive:
+        root = valid("SystemStructureDescription", archive, "SystemStructure.ssd")
+        parameters = valid("SystemStructureParameterValues", archive, "resources/twin.ssv")
+        assert archive.read("resources/twin.fmu") == fmu.read_bytes()
+    assert [c.get("name") for c in root.iter(f"{SSD}Component")] == ["flow", "mechanics", "twin"]
+    *_, last = root.iter(f"{SSD}Connection")
+    assert dict(last.attrib) == dict(
+        startElement="mechanics", startConnector=name, endElement="twin", endConnector=name
+    )
+    cap, start = sorted(parameters.iter(f"{SSV}Parameter"), key=len)
+    assert float(cap[0].get("value")) == 1e12
+    assert [float(v) for v in start[0].get("value").split()] == starts and start[1].get("size") == str(cells)
+
+
 def test_a_broken_archive_does_not_satisfy_the_schema(packed):
     with zipfile.ZipFile(packed / "six-fractures.ssp") as archive:
         root = etree.fromstring(archive.read("SystemStructure.ssd"))
