@@ -20,13 +20,13 @@ use super::progress::{Progress, Voice, newton, seconds};
 use super::series::Series;
 
 /// Names of the units that are coupled, in the order of their numbers.
-const NAMES: [&str; 2] = {
+pub(crate) const NAMES: [&str; 2] = {
     let mut names = [""; 2];
     (names[FLOW], names[MECHANICS]) = ("flow", "mechanics");
     names
 };
 /// Units by name, in the order of their numbers.
-type Fmus = Vec<(String, PathBuf)>;
+pub(crate) type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
 
