@@ -21,6 +21,7 @@
 
 mod acceleration;
 mod checkpoint;
+pub mod comparison;
 mod energy;
 mod error;
 pub mod fmi;

@@ -7,6 +7,7 @@
 //! | 2 | the command or the model is wrong |
 
 mod case;
+mod compare;
 mod error;
 mod pack;
 mod places;
@@ -34,6 +35,7 @@ Examples:
   orchestrator run models/six-fractures --variant h0.01 --output results/fine
   orchestrator run models/six-fractures --set coupling.split=drained --set time.step=50
   orchestrator resume results/fine
+  orchestrator compare models/six-fractures --split fixed_stress,undrained --acceleration none,iqn_ils
   orchestrator check models/network-3d
   orchestrator verify six-fractures";
 
@@ -50,6 +52,16 @@ Examples:
   orchestrator check models/six-fractures --variant h0.02
   orchestrator pack models/six-fractures --output fmus
   orchestrator check models/six-fractures --set time.step=50 --set 'output.times=[1000, 2000]'";
+
+const COMPARE_EXAMPLES: &str = "\
+Examples:
+  orchestrator compare models/six-fractures --split fixed_stress,undrained --acceleration none,aitken,iqn_ils
+  orchestrator compare models/six-fractures --dt 1,10,100 --steps 5 --acceleration anderson:depth=2,iqn_ils:reuse=0
+  orchestrator compare models/terzaghi --variant n20,default --set coupling.extrapolation=constant,linear
+  orchestrator compare --study models/terzaghi/studies/stability.toml --jobs 1
+
+Every combination is a run, in a process of its own. A run that fails is a result; the others go on. The same command
+goes on with a comparison that was stopped.";
 
 const COMPLETIONS: &str = "\
 Examples:
@@ -130,6 +142,22 @@ enum Command {
     Verify {
         #[command(flatten)]
         model: ModelArguments,
+    },
+    /// Runs a model with every combination of some choices, and compares them
+    #[command(after_help = COMPARE_EXAMPLES)]
+    Compare {
+        #[command(flatten)]
+        comparison: compare::CompareArguments,
+        #[command(flatten)]
+        voice: VoiceArguments,
+    },
+    /// One of the runs of a comparison
+    #[command(hide = true)]
+    CompareRun {
+        folder: PathBuf,
+        units: PathBuf,
+        #[arg(long)]
+        arrays: bool,
     },
     /// Prints the JSON schema of model.toml, for editors
     #[command(after_help = "Examples:\n  orchestrator schema > model.schema.json")]
@@ -252,6 +280,8 @@ impl Command {
             }
             Self::Resume { folder, voice } => run::resume(&folder, voice.voice())?,
             Self::Verify { model } => return verify::verify(&model.model, &model.variant, &model.set),
+            Self::Compare { comparison, voice } => return compare::compare(&comparison, voice.voice()),
+            Self::CompareRun { folder, units, arrays } => compare::run(&folder, &units, arrays)?,
             Self::Schema => write!(io::stdout(), "{}", model::schema()).map_err(CliError::Output)?,
             Self::Completions { shell } => {
                 let mut script = Vec::new();

@@ -64,16 +64,20 @@ pub(crate) fn temporary(prefix: &str) -> Result<tempfile::TempDir, CliError> {
     make().map_err(CliError::file(&std::env::temp_dir()))
 }
 
+/// The program that packs a unit, and the unit's library, beside this program.
+pub(crate) fn files_of(unit: &str) -> [String; 2] {
+    [format!("pack-{unit}{EXE_SUFFIX}"), format!("{DLL_PREFIX}{unit}_unit{DLL_SUFFIX}")]
+}
+
 /// The programs that pack units; fails with all that is missing.
 fn programs(units: &[(&str, PathBuf)]) -> Result<Vec<PathBuf>, CliError> {
     let own = std::env::current_exe().map_err(CliError::file(Path::new("this program")))?;
     let folder = own.parent().unwrap_or(Path::new(".")).to_owned();
     let (mut programs, mut names) = (Vec::new(), Vec::new());
     for (unit, _) in units {
-        let program = format!("pack-{unit}{EXE_SUFFIX}");
-        let needed = [program.clone(), format!("{DLL_PREFIX}{unit}_unit{DLL_SUFFIX}")];
+        let needed = files_of(unit);
+        programs.push(folder.join(&needed[0]));
         names.extend(needed.into_iter().filter(|name| !folder.join(name).is_file()));
-        programs.push(folder.join(program));
     }
     if names.is_empty() { Ok(programs) } else { Err(CliError::NoUnits { folder, names }) }
 }

@@ -21,7 +21,7 @@ use super::progress::{Progress, Voice, newton, seconds};
 use super::series::Series;
 
 /// Units by name, in the order of their numbers.
-type Fmus = Vec<(String, PathBuf)>;
+pub(crate) type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
 

@@ -27,6 +27,9 @@ const ABOVE: i32 = 8;
 pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub(crate) const VERMILION: RGBColor = RGBColor(213, 94, 0);
 pub(crate) const ORANGE: RGBColor = RGBColor(230, 159, 0);
+pub(crate) const GREEN: RGBColor = RGBColor(0, 158, 115);
+pub(crate) const PURPLE: RGBColor = RGBColor(204, 121, 167);
+pub(crate) const SKY: RGBColor = RGBColor(86, 180, 233);
 pub(crate) const GREY: RGBColor = RGBColor(130, 130, 130);
 pub(crate) const INK: RGBColor = RGBColor(40, 40, 40);
 
@@ -144,8 +147,8 @@ pub(crate) fn escaped(text: &str) -> String {
 #[derive(Clone, Debug)]
 pub(crate) struct Axis {
     label: String,
-    low: f64,
-    high: f64,
+    pub(crate) low: f64,
+    pub(crate) high: f64,
     ticks: Vec<(f64, String)>,
 }
 
@@ -182,6 +185,29 @@ impl Axis {
         let step = ((high - low) / 8.0).ceil().max(1.0) as usize;
         let ticks = (low.ceil() as i64..=high.floor() as i64).rev().step_by(step);
         Self { label: label.into(), low, high, ticks: ticks.map(|i| (i as f64, power(i))).collect() }
+    }
+
+    /// For decimal logarithms: powers, or where they are few also 2 and 5 times them.
+    pub(crate) fn decades(label: impl Into<String>, low: f64, high: f64) -> Self {
+        const FEW: f64 = 2.0;
+        let mut axis = Self::powers(label, low, high);
+        if high - low < FEW {
+            let all = (low.floor() as i32..=high.floor() as i32).flat_map(|i| [1.0, 2.0, 5.0].map(|m| (m, i)));
+            let named = all.map(|(m, i): (f64, i32)| (m.log10() + f64::from(i), number(m * 10_f64.powi(i))));
+            axis.ticks = named.filter(|t| (low..=high).contains(&t.0)).collect();
+        }
+        axis
+    }
+
+    /// For things with names, at 0, 1, …
+    pub(crate) fn names(label: impl Into<String>, names: &[String]) -> Self {
+        let ticks = names.iter().enumerate().map(|(i, name)| (i as f64, name.clone())).collect();
+        Self { label: label.into(), low: -0.5, high: names.len() as f64 - 0.5, ticks }
+    }
+
+    /// Without numbers.
+    pub(crate) fn bare(low: f64, high: f64) -> Self {
+        Self { label: String::new(), low, high, ticks: Vec::new() }
     }
 
     fn name(&self, value: f64) -> String {
@@ -291,6 +317,17 @@ pub(crate) fn extent(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)
 
 /// A chart of curves. Points that are not finite interrupt them.
 pub(crate) fn curves(title: &str, x: &Axis, y: &Axis, curves: &[Curve]) -> Result<String, ResultsError> {
+    curves_with(title, x, y, curves, |_| Ok(()))
+}
+
+/// [`curves`], with what `more` draws on top.
+pub(crate) fn curves_with(
+    title: &str,
+    x: &Axis,
+    y: &Axis,
+    curves: &[Curve],
+    more: impl FnOnce(&mut Chart<'_, '_>) -> Drawn,
+) -> Result<String, ResultsError> {
     let mark = |c: &Curve| if c.dashed { Mark::Dashes } else { Mark::Line };
     let keys: Vec<Key> = curves.iter().filter_map(|c| Some(Key::new(c.label.clone()?, c.color, mark(c)))).collect();
     svg(title, &keys, 270, |area| {
@@ -309,7 +346,7 @@ pub(crate) fn curves(title: &str, x: &Axis, y: &Axis, curves: &[Curve]) -> Resul
                 }
             }
         }
-        Ok(())
+        more(&mut chart)
     })
 }
 

@@ -113,17 +113,17 @@ fn code(outcome: &AttemptOutcome) -> i64 {
     OUTCOMES.iter().position(|&name| name == tables::outcome(outcome)).map_or(-1, |i| i as i64)
 }
 
-fn integers(group: &Group, name: &str, values: impl Iterator<Item = usize>) -> Hdf5Result<Dataset> {
+pub(crate) fn integers(group: &Group, name: &str, values: impl Iterator<Item = usize>) -> Hdf5Result<Dataset> {
     put(group, name, &values.map(|v| v as i64).collect::<Vec<_>>(), None)
 }
 
-fn floats(group: &Group, name: &str, unit: &str, values: impl Iterator<Item = f64>) -> Hdf5Result<()> {
+pub(crate) fn floats(group: &Group, name: &str, unit: &str, values: impl Iterator<Item = f64>) -> Hdf5Result<()> {
     let dataset = put(group, name, &values.collect::<Vec<_>>(), None)?;
     text(&dataset, "unit", unit)
 }
 
 /// Writes values as one dataset, in rows of `columns` where that is given.
-fn put<T: H5Type>(group: &Group, name: &str, values: &[T], columns: Option<usize>) -> Hdf5Result<Dataset> {
+pub(crate) fn put<T: H5Type>(group: &Group, name: &str, values: &[T], columns: Option<usize>) -> Hdf5Result<Dataset> {
     let builder = group.new_dataset::<T>();
     let dataset = match columns {
         Some(columns) => builder.shape([values.len() / columns, columns]).create(name)?,
@@ -135,7 +135,7 @@ fn put<T: H5Type>(group: &Group, name: &str, values: &[T], columns: Option<usize
     Ok(dataset)
 }
 
-fn text(location: &Location, name: &str, value: &str) -> Hdf5Result<()> {
+pub(crate) fn text(location: &Location, name: &str, value: &str) -> Hdf5Result<()> {
     let value: VarLenUnicode = value.parse().map_err(|error| hdf5_metno::Error::from(format!("{name}: {error}")))?;
     location.new_attr::<VarLenUnicode>().create(name)?.write_scalar(&value)
 }

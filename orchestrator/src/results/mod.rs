@@ -19,16 +19,16 @@
 //! lies beyond the time step that a run goes on from, so that afterwards all files are those of a run that was not
 //! interrupted, but for `timings.csv` and the other records of wall time.
 
-mod chart;
+pub(crate) mod chart;
 mod error;
 mod fields;
-mod files;
-mod hdf5;
+pub(crate) mod files;
+pub(crate) mod hdf5;
 mod journal;
 mod manifest;
-mod page;
-mod plots;
-mod tables;
+pub(crate) mod page;
+pub(crate) mod plots;
+pub(crate) mod tables;
 #[cfg(test)]
 mod tests;
 

@@ -10,7 +10,7 @@ use super::{Manifest, Summary};
 use crate::energy::SLACK;
 use crate::record::{Attempt, AttemptOutcome};
 
-const STYLE: &str = "
+pub(crate) const STYLE: &str = "
 body{margin:0;background:#f6f7f8;color:#222;font:16px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,'DejaVu Sans',sans-serif}
 main{max-width:1180px;margin:0 auto;padding:1.25rem}
 h1{font-size:1.7rem;line-height:1.2;margin:.3rem 0}h2{font-size:1.2rem;margin:2rem 0 .6rem}
@@ -307,7 +307,7 @@ fn breakable(name: &str) -> String {
 }
 
 /// A count with thin spaces.
-fn grouped(n: usize) -> String {
+pub(crate) fn grouped(n: usize) -> String {
     let digits = n.to_string();
     let mut text = String::new();
     for (i, c) in digits.chars().enumerate() {
@@ -320,7 +320,7 @@ fn grouped(n: usize) -> String {
 }
 
 /// A duration: three significant digits or so.
-fn short(seconds: f64) -> String {
+pub(crate) fn short(seconds: f64) -> String {
     match seconds {
         s if s < 1.0 => format!("{s:.3}"),
         s if s < 10.0 => format!("{s:.2}"),

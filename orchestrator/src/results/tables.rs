@@ -131,6 +131,6 @@ pub(crate) fn outcome(outcome: &AttemptOutcome) -> &'static str {
 }
 
 /// Text as a cell of a table.
-fn cell(text: &str) -> String {
+pub(crate) fn cell(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }
