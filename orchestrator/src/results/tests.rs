@@ -97,7 +97,7 @@ fn attempt(step: f64, seed: usize, count: usize, outcome: AttemptOutcome) -> Att
             residuals[1].norm = f64::NAN;
         }
         let newton = vec![None, Some(2 + (seed % 3) as u64)];
-        IterationRecord { residuals, seconds: vec![0.001 * i as f64, 0.002], newton }
+        IterationRecord { residuals, seconds: vec![0.001 * i as f64, 0.002], newton, derivatives: 0 }
     };
     Attempt { step, iterations: (1..=count).map(iteration).collect(), outcome }
 }
