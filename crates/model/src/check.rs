@@ -523,7 +523,7 @@ fn check_coupling(coupling: &Coupling, log: &mut Log) {
             }
         }
         Acceleration::IqnIls { initial, .. } => log.number(key("iqn_ils.initial"), initial, relaxation, RANGE),
-        Acceleration::NewtonKrylov { krylov } if krylov == 0 => {
+        Acceleration::NewtonKrylov { krylov: 0 } => {
             log.add(key("newton_krylov.krylov"), "it must be at least 1");
         }
         Acceleration::NewtonKrylov { .. } => {}
