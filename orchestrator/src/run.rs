@@ -71,7 +71,9 @@ impl Settings {
             self.coupling.split,
             if scheme.first == crate::FLOW { "fixed strain" } else { "drained" },
         );
-        if self.coupling.acceleration == Acceleration::None && !self.coupling.loose {
+        // Such a unit has no derivatives as a rule, and Newton's method would repeat its time steps for their differences.
+        let plain = [Acceleration::None, Acceleration::default()].contains(&self.coupling.acceleration);
+        if plain && !self.coupling.loose {
             self.coupling.acceleration = Acceleration::Aitken { initial: Number(0.5) };
             note += ", with Aitken's relaxation";
         }

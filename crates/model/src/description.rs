@@ -633,7 +633,8 @@ pub struct Sensitivity {
     pub fracture_compliance_floor_factor: Number,
     /// Largest matrix stiffness (Pa) that flow publishes.
     pub matrix_stiffness_cap: Number,
-    /// Largest fracture stiffness (Pa/m) that flow publishes: what stands for infinity of an incompressible fluid.
+    /// Largest fracture stiffness (Pa/m) that flow publishes. It is probed by a linearised solve: the pressure that a uniform
+    /// opening of the fractures takes away in a time step like the last one, finite through what leaks off.
     pub fracture_stiffness_cap: Number,
 }
 
@@ -644,7 +645,7 @@ impl Default for Sensitivity {
             matrix_compliance_factor: Number(1.0),
             fracture_compliance_floor_factor: Number(0.0),
             matrix_stiffness_cap: Number(1e13),
-            fracture_stiffness_cap: Number(1e10),
+            fracture_stiffness_cap: Number(1e16),
         }
     }
 }
