@@ -92,6 +92,13 @@ pub struct Linearisation {
     aperture_compliance: Vec<f64>,
 }
 
+impl Linearisation {
+    /// δt (s); infinite for a steady state.
+    pub fn time_step(&self) -> f64 {
+        self.rate.recip()
+    }
+}
+
 /// What the last time step leaves beside the state.
 struct Solved {
     linearisation: Arc<Linearisation>,
@@ -397,11 +404,24 @@ impl Flow {
         (0..self.state.matrix_pressure.len()).map(|cell| cap.min(self.storage(cell).recip())).collect()
     }
 
-    /// S_f = −∂p_f/∂d_f as the flow sees it, 1/(c_f d_f) (Pa/m), fracture faces; at most the cap of the model.
-    pub fn fracture_pressure_stiffness(&self) -> Vec<f64> {
-        let c_f = self.model.fluid.compressibility();
+    /// S_f = −∂p_f/∂d_f (Pa/m), fracture faces, as an increase of all apertures alike shows it in a time step of `dt` (s)
+    /// from the present state: one solve. It counts the fluid that leaks off, and is finite for an incompressible one; for a
+    /// sealed fracture it is 1/(c_f d_f). At most the cap of the model.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn fracture_pressure_stiffness(&mut self, dt: f64) -> Result<Vec<f64>, FlowError> {
+        let (inputs, mut problems) = (self.inputs(), Vec::new());
+        let mut c = self.coefficients(self.state.time, dt.recip(), &inputs, &mut problems);
+        fail_on(problems)?;
+        self.add_wells(&mut c, &inputs, &self.state.limited);
+        let geometry = self.scheme.mesh.geometry();
+        let faces = &self.scheme.mesh.network().faces;
+        let taken: Vec<f64> = faces.iter().map(|&f| geometry.face_measure[f] / dt).collect();
+        let cells = vec![0.0; geometry.cell_measure.len()];
         let cap = self.model.stiffness_cap.fracture;
-        self.state.aperture.iter().map(|d| cap.min((c_f * d).recip())).collect()
+        let response = self.respond(&c, &cells, &taken)?;
+        Ok(response.fracture_pressure.into_iter().map(|p| p.clamp(0.0, cap)).collect())
     }
 
     /// φ of each cell in the present state, never below 0.
@@ -459,11 +479,16 @@ impl Flow {
                 -measure * solved.rate * (direction.aperture[i] - change)
             })
             .collect();
-        let load = self.scheme.load(&solved.coefficients, &matrix, &fracture);
+        // A time step that failed, or another state, may have left the factor of other equations.
+        self.respond(&solved.coefficients, &matrix, &fracture)
+    }
+
+    /// The change of the pressures for sources (m³/s, 2D: m²/s) in cells and fracture faces.
+    fn respond(&mut self, c: &Coefficients, matrix: &[f64], fracture: &[f64]) -> Result<Response, FlowError> {
+        let load = self.scheme.load(c, matrix, fracture);
         let mut x = Vec::new();
         self.scheme.gather(&load, &mut x);
-        // A time step that failed, or another state, may have left the factor of other equations.
-        self.factorise(&solved.coefficients)?;
+        self.factorise(c)?;
         let Some(factor) = &self.factor else { return Err(FlowError::NothingSolved) };
         factor.cholesky.solve(&mut x, &mut self.scratch)?;
         self.work.solves += 1;
@@ -471,8 +496,8 @@ impl Flow {
         self.scheme.correct(&mut traces, &x);
         let first = self.scheme.space.fracture_trace(0);
         Ok(Response {
-            matrix_pressure: self.scheme.cell_response(&solved.coefficients, &matrix, &traces),
-            fracture_pressure: traces[first..first + faces].to_vec(),
+            matrix_pressure: self.scheme.cell_response(c, matrix, &traces),
+            fracture_pressure: traces[first..first + fracture.len()].to_vec(),
         })
     }
 

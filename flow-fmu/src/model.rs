@@ -194,13 +194,13 @@ pub struct Well {
 pub struct StiffnessCap {
     /// Pa.
     pub matrix: f64,
-    /// Pa/m. 1e10 served the six fractures at time steps of 100 s; smaller ones want more.
+    /// Pa/m.
     pub fracture: f64,
 }
 
 impl Default for StiffnessCap {
     fn default() -> Self {
-        Self { matrix: 1e13, fracture: 1e10 }
+        Self { matrix: 1e13, fracture: 1e16 }
     }
 }
 

@@ -94,6 +94,11 @@ impl FlowUnit {
         stiffness.iter().map(|s| s.min(self.settings.caps[which])).collect()
     }
 
+    /// The last time step (s), or before it the first one of the model.
+    fn last_step(&self) -> f64 {
+        self.flow.linearisation().map(|l| l.time_step()).filter(|dt| dt.is_finite()).unwrap_or(self.times[2])
+    }
+
     fn matrix_statistics(&self) -> [f64; 3] {
         statistics(&self.flow.state().matrix_pressure, self.flow.mesh().geometry().cell_measure.iter().copied())
     }
@@ -300,7 +305,10 @@ fn add_fields(t: &mut Table<FlowUnit>, start: &Inputs) {
     t.output("matrix.pressure", |u, v| write(v, &u.flow.state().matrix_pressure));
     t.output("fracture.pressure", |u, v| write(v, u.flow.fracture_pressure()));
     t.output("matrix.pressure_stiffness", |u, v| write(v, &u.capped(&u.flow.matrix_pressure_stiffness(), 0)));
-    t.output("fracture.pressure_stiffness", |u, v| write(v, &u.capped(&u.flow.fracture_pressure_stiffness(), 1)));
+    t.output("fracture.pressure_stiffness", |u, v| {
+        let stiffness = u.flow.fracture_pressure_stiffness(u.last_step())?;
+        write(v, &u.capped(&stiffness, 1))
+    });
 }
 
 fn add_energies(t: &mut Table<FlowUnit>) {

@@ -497,14 +497,27 @@ impl Unit for MechanicsUnit {
     ) -> Result<(), UnitError> {
         let sizes = self.sizes();
         let (mut matrix, mut fracture) = (vec![0.0; sizes.cells], vec![0.0; sizes.fracture_faces]);
+        let response = &self.now.inputs.response;
+        let add = |target: &mut [f64], change: &[f64]| target.iter_mut().zip(change).for_each(|(t, c)| *t += c);
+        let times = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
         let mut rest = seed;
         for &known in knowns {
             let (own, after) = rest.split_at(self.table.size(known));
             rest = after;
             match self.table.name(known) {
-                "matrix.pressure" => matrix.copy_from_slice(own),
-                "fracture.pressure" => fracture.copy_from_slice(own),
-                name => return Err(format!("no derivative with respect to {name}: only to the pressures").into()),
+                "matrix.pressure" => add(&mut matrix, own),
+                "fracture.pressure" => add(&mut fracture, own),
+                // p = p* − S (φ − φ*): a reference acts like the pressure S φ*.
+                "matrix.porosity_change_reference" => {
+                    add(&mut matrix, &times(&response.matrix_pressure_stiffness, own));
+                }
+                "fracture.aperture_reference" => {
+                    add(&mut fracture, &times(&response.fracture_pressure_stiffness, own));
+                }
+                name => {
+                    let to = "only to the pressures and the references";
+                    return Err(format!("no derivative with respect to {name}: {to}").into());
+                }
             }
         }
         self.mechanics.follow(&self.now.last.matrix_stiffness)?;

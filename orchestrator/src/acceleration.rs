@@ -68,7 +68,8 @@ impl Accelerator {
             r: here.r.iter().zip(&last.r).map(|(a, b)| a - b).collect(),
         });
         match method {
-            Acceleration::None => add(x, 1.0, &here.r),
+            // Newton's method needs the units: see `run`. Without them there is the split.
+            Acceleration::None | Acceleration::NewtonKrylov { .. } => add(x, 1.0, &here.r),
             Acceleration::Relaxation { factor } => add(x, factor.0, &here.r),
             Acceleration::Aitken { initial } => {
                 self.omega = match (&self.last, &change) {

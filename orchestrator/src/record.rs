@@ -37,6 +37,8 @@ pub struct IterationRecord {
     pub seconds: Vec<f64>,
     /// Newton iterations of each unit, where it tells.
     pub newton: Vec<Option<u64>>,
+    /// Directional derivatives taken of each coupled unit after it, for the next iterate.
+    pub derivatives: usize,
 }
 
 impl IterationRecord {

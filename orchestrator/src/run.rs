@@ -1,5 +1,7 @@
 //! The loop over time steps and coupling iterations.
 
+mod newton_krylov;
+
 use std::time::Instant;
 
 use model::{Acceleration, Coupling, Extrapolation, Norm, Number, Refresh, Time};
@@ -11,6 +13,7 @@ use crate::interface::{Connection, Interface, Scheme};
 use crate::record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
 use crate::time::{Pace, TimeControl};
 use crate::unit::{StepOutcome, Unit, UnitError};
+use newton_krylov::{At, Search, reference_of, scatter};
 
 /// The values of all fields of an interface.
 pub type Fields = Vec<Vec<f64>>;
@@ -21,6 +24,9 @@ const DIVERGED: f64 = 1e8;
 /// far off, what it believes of its partner leads too far, as to apertures below zero. Sensitivities have no part in the
 /// solution, and a smaller time step would be another solution.
 const TRUST: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
+/// Where residuals shrink by less than this from one plain pass to the next, by round-off as a rule, the error is taken as
+/// that of this contraction.
+const SLOWEST: f64 = 0.999;
 /// Entries that the report of a failure names for each field.
 const REPORTED: usize = 5;
 
@@ -65,7 +71,9 @@ impl Settings {
             "the units do not both have the sensitivities of {}: for these fields the split {before} becomes {now}",
             lacking.collect::<Vec<_>>().join(", "),
         );
-        if self.coupling.acceleration == Acceleration::None && !self.coupling.loose {
+        // Such a unit has no derivatives as a rule, and Newton's method would repeat its time steps for their differences.
+        let plain = [Acceleration::None, Acceleration::default()].contains(&self.coupling.acceleration);
+        if plain && !self.coupling.loose {
             self.coupling.acceleration = Acceleration::Aitken { initial: Number(0.5) };
             note += ", with Aitken's relaxation";
         }
@@ -335,6 +343,7 @@ impl Run {
         let mut least = f64::INFINITY;
         // The last fields as they came, for where a unit refuses what acceleration made of them.
         let mut plain = None;
+        let mut search = Search::default();
         for iteration in 1..=max_iterations {
             if iteration > 1 {
                 self.each_coupled(|unit| unit.restore())?;
@@ -343,6 +352,10 @@ impl Run {
             let (fields, mut record) = match pass {
                 Pass::Done { fields, record } => (fields, record),
                 Pass::Discarded { unit, reason } => {
+                    if let Some(trial) = search.shorten() {
+                        scatter(&accelerated, trial, &mut x);
+                        continue;
+                    }
                     if let Some(fields) = plain.take() {
                         x = fields;
                         self.state.accelerator.begin();
@@ -355,9 +368,11 @@ impl Run {
             };
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             record.residuals = self.residuals(&residual);
-            let (converged, ratio) = (record.residuals.iter().all(FieldResidual::holds), record.ratio());
+            let ratio = record.ratio();
+            let last = attempt.iterations.last().map(|last| &last.residuals[..]);
+            let converged = record.residuals.iter().all(FieldResidual::holds)
+                && last.is_none_or(|last| has_settled(acceleration, last, &record.residuals));
             watch(end, iteration, &record);
-            attempt.iterations.push(record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
             let outcome = if !finite {
@@ -368,10 +383,12 @@ impl Run {
                 (ratio > DIVERGED * least).then_some(AttemptOutcome::Diverged)
             };
             if let Some(outcome) = outcome {
+                attempt.iterations.push(record);
                 attempt.outcome = outcome;
                 return Ok((attempt, fields, residual));
             }
             if trust < 1.0 {
+                attempt.iterations.push(record);
                 // A pass with other sensitivities says nothing about those to come.
                 self.state.accelerator.begin();
                 (plain, x) = (None, fields);
@@ -380,14 +397,17 @@ impl Run {
             // Fields that are not accelerated are only compared.
             let weights = self.weights(&accelerated, &fields);
             let mut flat: Vec<f64> = accelerated.iter().flat_map(|&f| x[f].iter().copied()).collect();
-            let r = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
-            self.state.accelerator.next(acceleration, &mut flat, r, &weights);
+            let r: Vec<f64> = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
+            if let Acceleration::NewtonKrylov { krylov } = acceleration {
+                let at = At { x: &x, fields: &fields, step, accelerated: &accelerated, weights: &weights };
+                flat = self.newton_krylov(&mut search, &at, flat, &r, krylov, &mut record)?;
+            } else {
+                self.state.accelerator.next(acceleration, &mut flat, r, &weights);
+            }
+            attempt.iterations.push(record);
             plain = (acceleration != Acceleration::None).then(|| fields.clone());
             x = fields;
-            let mut next = flat.into_iter();
-            for &f in &accelerated {
-                x[f].iter_mut().zip(&mut next).for_each(|(x, next)| *x = next);
-            }
+            scatter(&accelerated, flat, &mut x);
         }
         Ok((attempt, x, residual))
     }
@@ -446,8 +466,8 @@ impl Run {
     fn pass(&mut self, x: &Fields, step: f64, trust: f64) -> Result<Pass, CouplingError> {
         let mut fields = x.clone();
         let units = self.units.len();
-        let mut record =
-            IterationRecord { residuals: Vec::new(), seconds: vec![0.0; units], newton: vec![None; units] };
+        let (seconds, newton) = (vec![0.0; units], vec![None; units]);
+        let mut record = IterationRecord { residuals: Vec::new(), seconds, newton, derivatives: 0 };
         let (first, coupled) = (self.settings.scheme.first, self.interface.coupled);
         for unit in [first, 1 - first].into_iter().filter(|&unit| unit < coupled) {
             let clock = Instant::now();
@@ -483,7 +503,7 @@ impl Run {
             if self.settings.scheme.connected[partner]
                 && let Some(sensitivity) = &field.sensitivity
             {
-                let own = format!("{}_reference", self.interface.fields[sensitivity.partner].name);
+                let own = reference_of(&self.interface.fields[sensitivity.partner].name);
                 let values = std::mem::take(&mut self.state.sensitivities[f]);
                 if trust == 1.0 {
                     self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
@@ -593,6 +613,20 @@ impl Run {
         let minimum = can_roll_back.then(|| self.control.minimum());
         Failure { time: self.state.time, minimum, attempts, fields }
     }
+}
+
+/// Whether a plain iteration is as near to its end as the residuals say. With x ← x + ω r and |r| shrinking by ρ in a pass, the
+/// error of G(x) is about (ω/(1 − ρ) − 1) r, many times r where the contraction is slow.
+fn has_settled(acceleration: Acceleration, last: &[FieldResidual], now: &[FieldResidual]) -> bool {
+    let omega = match acceleration {
+        Acceleration::None => 1.0,
+        Acceleration::Relaxation { factor } => factor.0,
+        _ => return true,
+    };
+    last.iter().zip(now).all(|(last, now)| {
+        let rho = (now.norm / last.norm).min(SLOWEST);
+        (omega / (1.0 - rho) - 1.0).abs() * now.norm <= now.limit
+    })
 }
 
 /// Widens ranges to hold the values of fields.

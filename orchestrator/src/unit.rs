@@ -116,11 +116,16 @@ pub trait Unit {
         Vec::new()
     }
 
-    /// ∂(output)/∂(input) · `seed` at the last time step; `None` where it has no derivatives.
+    /// How each of `outputs` at the last time step answers to a change of inputs by the arrays given with their names:
+    /// Σ ∂(output)/∂(input) · change; `None` where the unit has no derivatives.
     ///
     /// # Errors
     /// [`UnitError`].
-    fn derivative(&mut self, _output: &str, _input: &str, _seed: &[f64]) -> Result<Option<Vec<f64>>, UnitError> {
+    fn derivative(
+        &mut self,
+        _outputs: &[&str],
+        _inputs: &[(&str, &[f64])],
+    ) -> Result<Option<Vec<Vec<f64>>>, UnitError> {
         Ok(None)
     }
 }

@@ -9,7 +9,7 @@ use toys::{Column, Toy};
 fn settings(split: Split, steps: usize) -> Settings {
     Settings {
         scheme: split.into(),
-        coupling: Coupling { split, max_iterations: 100, ..Coupling::default() },
+        coupling: Coupling { split, acceleration: Acceleration::None, max_iterations: 100, ..Coupling::default() },
         time: Time { end: Number(0.1 * steps as f64), step: Some(Number(0.1)), ..Time::default() },
         output_times: Vec::new(),
     }
@@ -166,9 +166,10 @@ fn nonlinear_columns_converge_for_every_split_and_acceleration() {
             Acceleration::Aitken { initial: Number(0.2) },
             Acceleration::Anderson { depth: 4, mixing: one },
             Acceleration::IqnIls { reuse: 2, initial: Number(0.2) },
+            Acceleration::default(),
         ] {
             let conditional = matches!(split, Split::FixedStrain | Split::Drained);
-            if conditional && !matches!(acceleration, Acceleration::Anderson { .. } | Acceleration::IqnIls { .. }) {
+            if conditional && matches!(acceleration, Acceleration::None | Acceleration::Aitken { .. }) {
                 continue;
             }
             let mut settings = settings(split, 5);
@@ -180,6 +181,78 @@ fn nonlinear_columns_converge_for_every_split_and_acceleration() {
             let reference = reference.get_or_insert_with(|| found.clone());
             assert!(found.iter().zip(reference).all(|(a, b)| (*a / *b - 1.0).abs() < 1e-8));
         }
+    }
+}
+
+/// Newton's method takes one step on a linear problem, or two where GMRES's reduction by 1000 is too little, however strong
+/// the coupling and whatever the split. Differences of time steps do the same as derivatives.
+#[test]
+fn newton_krylov_is_exact_for_linear_columns() {
+    for split in [Split::FixedStrain, Split::Drained, Split::FixedStress, Split::Undrained] {
+        for differentiates in [true, false] {
+            let columns = [0.3, 1.5, 300.0].map(Column::of_strength);
+            let (mut flow, mut mechanics) = (Toy::new(true, &columns), Toy::new(false, &columns));
+            flow.log = mechanics.log.clone();
+            (flow.differentiates, mechanics.differentiates) = (differentiates, differentiates);
+            let log = flow.log.clone();
+            let mut settings = settings(split, 1);
+            settings.coupling.acceleration = Acceleration::default();
+            let units: [Box<dyn Unit>; 2] = [Box::new(flow), Box::new(mechanics)];
+            let mut run = Run::new(units, interface(1e-6), settings).unwrap();
+            let record = run.advance().unwrap_or_else(|e| panic!("{split:?} {e}"));
+            let passes = record.iterations().len();
+            assert!(passes <= 4, "{split:?} {differentiates}: {passes}");
+            for (i, column) in columns.iter().enumerate() {
+                let (pressure, _) = exact(*column, 0.1);
+                assert!((run.fields()[0][i] / pressure - 1.0).abs() < 1e-5, "{split:?} {i}");
+            }
+            // What the record counts is what the units did.
+            let derivatives: usize = record.iterations().iter().map(|i| i.derivatives).sum();
+            assert!(derivatives > 0);
+            let log = log.lock().unwrap();
+            let count = |what: &str| log.iter().filter(|line| **line == format!("toy flow {what}")).count();
+            let wanted = if differentiates { (passes, derivatives) } else { (passes + derivatives, 0) };
+            assert_eq!((count("step"), count("derivative")), wanted, "{split:?}");
+        }
+    }
+}
+
+/// Newton's step leads to porosities that flow refuses, a shorter one does not.
+#[test]
+fn newton_krylov_shortens_steps_that_a_unit_refuses() {
+    let columns = [Column { hardening: 1e15, ..Column::of_strength(5.0) }];
+    let run = |least: f64| {
+        let mut flow = Toy::new(true, &columns);
+        flow.least_porosity = least;
+        let log = flow.log.clone();
+        let units: [Box<dyn Unit>; 2] = [Box::new(flow), Box::new(Toy::new(false, &columns))];
+        let mut settings = settings(Split::FixedStrain, 1);
+        settings.coupling.acceleration = Acceleration::default();
+        let mut run = Run::new(units, interface(1e-9), settings).unwrap();
+        let record = run.advance().unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(record.attempts.len(), 1);
+        let steps = log.lock().unwrap().iter().filter(|line| line.ends_with("step")).count();
+        (run.fields()[2][0], steps - record.iterations().len())
+    };
+    let (porosity, refusals) = run(f64::NEG_INFINITY);
+    assert_eq!(refusals, 0);
+    let (same, refusals) = run(1.0001 * porosity);
+    assert!(refusals > 0);
+    assert!((same / porosity - 1.0).abs() < 1e-6, "{same} {porosity}");
+}
+
+/// A contraction by .99 makes the error a hundred times the residual: the criterion is for the error.
+#[test]
+fn a_slow_plain_iteration_does_not_pass_for_a_converged_one() {
+    const TOLERANCE: f64 = 1e-4;
+    let column = Column::of_strength(0.99);
+    for (acceleration, most) in [(Acceleration::None, 2000), (Acceleration::Relaxation { factor: Number(0.5) }, 200)] {
+        let mut settings = settings(Split::FixedStrain, 1);
+        (settings.coupling.acceleration, settings.coupling.max_iterations) = (acceleration, most);
+        let (run, _) = run(&[column], settings, TOLERANCE).unwrap_or_else(|e| panic!("{e}"));
+        let (pressure, porosity) = exact(column, 0.1);
+        assert!((run.fields()[0][0] - pressure).abs() < 1.1 * TOLERANCE * 1e6, "{acceleration:?}");
+        assert!((run.fields()[2][0] - porosity).abs() < 1.1 * TOLERANCE * 1e-3, "{acceleration:?}");
     }
 }
 

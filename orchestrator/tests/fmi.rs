@@ -112,7 +112,7 @@ fn what_is_wrong_is_said() {
     assert!(matches!(unit.step(0.0, 0.5), Ok(StepOutcome::Discarded { reason }) if reason.contains("too long")));
     assert!(say(unit.restore().unwrap_err()).contains("no state was kept"));
     assert!(say(unit.deserialise(&[1, 2, 3]).unwrap_err()).len() > 10);
-    assert_eq!(unit.derivative("matrix.pressure", "matrix.porosity_change", &[0.0; 3]), Ok(None));
+    assert_eq!(unit.derivative(&["matrix.pressure"], &[("matrix.porosity_change", &[0.0; 3])]), Ok(None));
 
     let path = folder.path().join("none.fmu");
     assert!(Fmu::open(&path).unwrap_err().to_string().contains("none.fmu"));

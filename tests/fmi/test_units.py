@@ -664,12 +664,14 @@ def test_pressures_and_apertures_at_the_start_are_those_of_the_model(wells):
 
 def test_stiffnesses_are_capped(wells):
     unit = wells.start()
-    natural = wells.get(unit, "fracture.pressure_stiffness")
-    # 1/(c d) = 2e9 Pa/1e-4 m and more, above the cap of the model.
-    assert set(natural) == {1e10}
     wells.set(unit, "fracture_pressure_stiffness.cap", [1e30])
-    expected = 2e9 / np.array(wells.get(unit, "fracture.aperture"))
-    assert wells.get(unit, "fracture.pressure_stiffness") == pytest.approx(expected)
+    # What leaks off makes it less than 1/(c d), 2e9 Pa over the aperture.
+    natural = np.array(wells.get(unit, "fracture.pressure_stiffness"))
+    assert min(natural) > 0
+    assert max(natural * wells.get(unit, "fracture.aperture")) < 2e9
+    cap = 0.5 * min(natural)
+    wells.set(unit, "fracture_pressure_stiffness.cap", [cap])
+    assert set(wells.get(unit, "fracture.pressure_stiffness")) == {cap}
     # 1/(1/M + φ c)
     assert wells.get(unit, "matrix.pressure_stiffness")[0] == pytest.approx(1 / (1e-10 + 0.2 / 2e9))
     wells.set(unit, "matrix_pressure_stiffness.cap", [1e8])

@@ -11,6 +11,7 @@ use std::process::Command;
 use std::time::{Duration, SystemTime};
 
 use programs::{COARSE, call, command, fail, program, root, succeed};
+use tests::monolithic;
 use tests::six_fractures::{Coupled, triangles};
 
 /// A scalar of `series.csv` against time (s).
@@ -55,7 +56,7 @@ fn six_fractures_agree_with_the_reference_and_with_the_libraries() {
     let mut coupled = Coupled::new(triangles(0.04));
     let means = MEANS.map(|name| column(&results, name));
     for step in 1..=20 {
-        let record = coupled.step(100.0, 1.0);
+        let record = coupled.step(100.0, 0.0);
         for (series, expected) in means.iter().zip(record.means) {
             let (time, found) = series[step];
             assert_eq!(time, record.time);
@@ -66,6 +67,43 @@ fn six_fractures_agree_with_the_reference_and_with_the_libraries() {
         ["index.html", "run.h5", "manifest.json", "summary.json", "fields/matrix.pvd", "plots/mean-aperture.svg"]
     {
         assert!(results.join(file).is_file(), "{file}");
+    }
+}
+
+/// Three time steps of 10 s, in which most faces begin to slip, by each split and by Newton's method on the whole.
+#[test]
+fn every_split_agrees_with_a_monolithic_solve() {
+    /// That of the criteria, which is for the residual of one pass.
+    const COUPLING: f64 = 1e-5;
+    let mut coupled = Coupled::new(triangles(0.1));
+    let newton: Vec<usize> = (0..3).map(|_| monolithic::step(&mut coupled, 10.0)).collect();
+    println!("monolithic: {newton:?} Newton iterations");
+    let aperture = coupled.mechanics.aperture(&coupled.state);
+    let extremes = |values: &[f64]| {
+        values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &v| [low.min(v), high.max(v)])
+    };
+    let fields = [
+        ("aperture", extremes(&aperture), 1e-5),
+        ("fracture_pressure", extremes(coupled.flow.fracture_pressure()), 1e4),
+        ("matrix_pressure", extremes(&coupled.flow.state().matrix_pressure), 1e4),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    for split in ["fixed_stress", "undrained", "drained", "fixed_strain"] {
+        let results = folder.path().join(split);
+        let split = format!("coupling.split = \"{split}\"");
+        let run = ["run", "models/six-fractures", "--quiet", "--output", results.to_str().unwrap(), "--set", &split];
+        let times = ["--set", "time={end=30, step=10}", "--set", "output.times=[30]"];
+        succeed(&[&run[..], &times, &COARSE].concat());
+        for (name, wanted, floor) in fields {
+            let scale = f64::max(wanted[1] - wanted[0], floor);
+            for (end, wanted) in ["min", "max"].iter().zip(wanted) {
+                let (time, found) = *column(&results, &format!("{name}.{end}")).last().unwrap();
+                assert_eq!(time, 30.0);
+                let error = (found - wanted).abs() / scale;
+                println!("{split}, {name}.{end}: {error:.1e} of the range");
+                assert!(error <= COUPLING, "{split}, {name}.{end}: {found}, {wanted}");
+            }
+        }
     }
 }
 

@@ -523,8 +523,12 @@ fn check_coupling(coupling: &Coupling, log: &mut Log) {
             }
         }
         Acceleration::IqnIls { initial, .. } => log.number(key("iqn_ils.initial"), initial, relaxation, RANGE),
+        Acceleration::NewtonKrylov { krylov: 0 } => {
+            log.add(key("newton_krylov.krylov"), "it must be at least 1");
+        }
+        Acceleration::NewtonKrylov { .. } => {}
     }
-    if coupling.loose && coupling.acceleration != Acceleration::None {
+    if coupling.loose && ![Acceleration::None, Acceleration::default()].contains(&coupling.acceleration) {
         log.add("coupling.acceleration", "loose coupling has one pass per time step: there is nothing to accelerate");
     }
     for (name, &Criterion { tolerance, floor, .. }) in &coupling.criteria {

@@ -514,12 +514,11 @@ pub enum Split {
     Undrained,
 }
 
-/// How the next iterate is made from the last ones.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// How the next iterate is made from the last ones. Loose coupling has none.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Acceleration {
     /// As it comes.
-    #[default]
     None,
     /// Constant relaxation.
     Relaxation {
@@ -550,6 +549,23 @@ pub enum Acceleration {
         #[serde(default = "one")]
         initial: Number,
     },
+    /// Newton's method on the residual of a pass, by GMRES with the units' directional derivatives (Knoll, Keyes,
+    /// J. Comput. Phys. 193, 2004), or differences of time steps where a unit has none.
+    NewtonKrylov {
+        /// Most GMRES iterations in a Newton iteration; each takes a derivative of both units.
+        #[serde(default = "krylov")]
+        krylov: usize,
+    },
+}
+
+fn krylov() -> usize {
+    60
+}
+
+impl Default for Acceleration {
+    fn default() -> Self {
+        Self::NewtonKrylov { krylov: krylov() }
+    }
 }
 
 fn one() -> Number {
@@ -610,11 +626,15 @@ pub struct Sensitivity {
     pub refresh: Refresh,
     /// Factor on the matrix compliance b²/K_dr; the linear problem contracts from ½ on.
     pub matrix_compliance_factor: Number,
-    /// The fracture compliance is probed by a linearised solve; this is the factor on its floor L_f/E′ of the fracture compliance (m/Pa), L_f the length of the fracture.
+    /// The fracture compliance (m/Pa) is probed by a linearised solve; this is the factor on its floor L_f/E′, L_f the
+    /// length of the fracture. A floor of about 1 lets plain iterations and differences converge at smaller time steps,
+    /// where closed faces open; but on faces that stay closed they then creep, the more so the less these leak in a time
+    /// step, and their residuals say little about their errors. Newton's method needs none.
     pub fracture_compliance_floor_factor: Number,
     /// Largest matrix stiffness (Pa) that flow publishes.
     pub matrix_stiffness_cap: Number,
-    /// Largest fracture stiffness (Pa/m) that flow publishes: what stands for infinity of an incompressible fluid.
+    /// Largest fracture stiffness (Pa/m) that flow publishes. It is probed by a linearised solve: the pressure that a uniform
+    /// opening of the fractures takes away in a time step like the last one, finite through what leaks off.
     pub fracture_stiffness_cap: Number,
 }
 
@@ -623,9 +643,9 @@ impl Default for Sensitivity {
         Self {
             refresh: Refresh::default(),
             matrix_compliance_factor: Number(1.0),
-            fracture_compliance_floor_factor: Number(1.0),
+            fracture_compliance_floor_factor: Number(0.0),
             matrix_stiffness_cap: Number(1e13),
-            fracture_stiffness_cap: Number(1e10),
+            fracture_stiffness_cap: Number(1e16),
         }
     }
 }

@@ -109,13 +109,33 @@ fn the_linearised_response_is_the_difference() {
 
 #[test]
 fn stiffnesses_are_published() {
-    let flow = problem(Some(2e9), Some(1e10));
+    let mut flow = problem(Some(2e9), Some(1e10));
     let s = flow.matrix_pressure_stiffness();
     assert!((s[0] - 1.0 / (1e-10 + 0.1 / 2e9)).abs() < 1e-6 * s[0]);
-    assert_eq!(flow.fracture_pressure_stiffness()[0], 1e10);
-    let flow = problem(None, None);
+    // In no time nothing leaks off: 1/(c_f d_f).
+    let at_once = flow.fracture_pressure_stiffness(1e-12).unwrap();
+    assert!(at_once.iter().all(|s| (s / (2e9 / 1e-4) - 1.0).abs() < 1e-6), "{at_once:?}");
+    let mut flow = problem(None, None);
     assert_eq!(flow.matrix_pressure_stiffness()[0], 1e13);
-    assert_eq!(flow.fracture_pressure_stiffness()[0], 1e10);
+    // Without any storage the fluid goes out at the left, the sooner the longer the time step is.
+    let [short, long] = [1.0, 100.0].map(|dt| flow.fracture_pressure_stiffness(dt).unwrap());
+    assert!(short.iter().zip(&long).all(|(s, l)| *l > 0.0 && (s / l - 100.0).abs() < 1e-6));
+}
+
+/// An opening of all faces alike in a time step takes as much pressure away as the stiffness says.
+#[test]
+fn the_fracture_stiffness_is_that_of_a_time_step() {
+    for (fluid, rock) in [(Some(2e9), Some(1e10)), (None, Some(1e10)), (None, None)] {
+        let mut flow = problem(fluid, rock);
+        let (dt, opening) = (30.0, 1e-9);
+        let stiffness = flow.fracture_pressure_stiffness(dt).unwrap();
+        let mut inputs = flow.inputs();
+        inputs.aperture.iter_mut().for_each(|d| *d += opening);
+        flow.step(dt, &inputs).unwrap();
+        for (s, p) in stiffness.iter().zip(flow.fracture_pressure()) {
+            assert!(((1e5 - p) / opening / s - 1.0).abs() < 1e-6, "{s} {p}");
+        }
+    }
 }
 
 #[test]

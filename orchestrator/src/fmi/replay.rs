@@ -122,7 +122,7 @@ impl Unit for Replay {
         self.unit.take_messages()
     }
 
-    fn derivative(&mut self, output: &str, input: &str, seed: &[f64]) -> Result<Option<Vec<f64>>, UnitError> {
-        self.unit.derivative(output, input, seed)
+    fn derivative(&mut self, outputs: &[&str], inputs: &[(&str, &[f64])]) -> Result<Option<Vec<Vec<f64>>>, UnitError> {
+        self.unit.derivative(outputs, inputs)
     }
 }

@@ -301,19 +301,28 @@ impl Unit for FmuUnit {
         std::mem::take(&mut self.said)
     }
 
-    fn derivative(&mut self, output: &str, input: &str, seed: &[f64]) -> Result<Option<Vec<f64>>, UnitError> {
+    fn derivative(&mut self, outputs: &[&str], inputs: &[(&str, &[f64])]) -> Result<Option<Vec<Vec<f64>>>, UnitError> {
         let description = Arc::clone(&self.fmu.description);
         if !description.has_derivatives {
             return Ok(None);
         }
-        let (unknown, wrt) = (known(&description, output)?, known(&description, input)?);
-        if seed.len() != wrt.size {
-            return Err(UnitError::Length { variable: input.to_owned(), found: seed.len(), expected: wrt.size });
+        let (mut knowns, mut seed) = (Vec::new(), Vec::new());
+        for &(input, values) in inputs {
+            let variable = known(&description, input)?;
+            if values.len() != variable.size {
+                let (found, expected) = (values.len(), variable.size);
+                return Err(UnitError::Length { variable: input.to_owned(), found, expected });
+            }
+            knowns.extend_from_slice(&variable.references);
+            seed.extend(values.iter().map(|v| v / variable.conversion.factor));
         }
-        let mut result = vec![0.0; unknown.size];
-        let status = self.instance()?.derivative(&unknown.references, &wrt.references, seed, &mut result);
-        let factor = unknown.conversion.factor / wrt.conversion.factor;
-        result.iter_mut().for_each(|v| *v *= factor);
-        self.done(status).map(|()| Some(result))
+        let variables = outputs.iter().map(|output| known(&description, output)).collect::<Result<Vec<_>, _>>()?;
+        let unknowns: Vec<u32> = variables.iter().flat_map(|v| v.references.iter().copied()).collect();
+        let mut sensitivity = vec![0.0; variables.iter().map(|v| v.size).sum()];
+        let status = self.instance()?.derivative(&unknowns, &knowns, &seed, &mut sensitivity);
+        self.done(status)?;
+        let mut rest = sensitivity.into_iter();
+        let of = |v: &&Variable| rest.by_ref().take(v.size).map(|s| s * v.conversion.factor).collect();
+        Ok(Some(variables.iter().map(of).collect()))
     }
 }

@@ -15,6 +15,7 @@
 //! | `iterations/FIELD/worst` | i64 | iterations | entry with the largest residual, −1 where there is none |
 //! | `iterations/UNIT/seconds` | f64 | iterations | wall seconds in the unit |
 //! | `iterations/UNIT/newton_iterations` | i64 | iterations | −1 where the unit does not tell |
+//! | `iterations/derivatives` | i64 | iterations | directional derivatives of each unit taken after it |
 //! | `fields/NUMBER/NAME` | f64 | any, or × components | a field after that time step; attribute `time` (s) on the group |
 //!
 //! Datasets with a unit of measure have it as attribute `unit`. The mesh is in `mesh.h5`.
@@ -92,6 +93,7 @@ fn put_rest(file: &File, manifest: &Manifest, entries: &[Entry]) -> Hdf5Result<(
     integers(&iterations, "time_step", rows.iter().map(|r| r.0.number))?;
     integers(&iterations, "attempt", rows.iter().map(|r| r.1))?;
     integers(&iterations, "iteration", rows.iter().map(|r| r.2))?;
+    integers(&iterations, "derivatives", rows.iter().map(|r| r.3.derivatives))?;
     for (f, field) in manifest.fields.iter().enumerate() {
         let group = iterations.create_group(&field.name)?;
         let residuals = || rows.iter().map(|r| r.3.residuals[f]);

@@ -59,6 +59,8 @@ pub(crate) struct Totals {
     pub(crate) failed_attempts: usize,
     /// Coupling iterations of all attempts.
     pub(crate) iterations: usize,
+    /// Directional derivatives of each unit.
+    pub(crate) derivatives: usize,
     /// Smallest and largest number of those of an accepted attempt.
     pub(crate) range: (usize, usize),
     /// Newton iterations of each unit, where it tells.
@@ -85,6 +87,7 @@ impl Totals {
             time_steps: history.records.len(),
             failed_attempts: attempts().filter(|a| a.outcome != AttemptOutcome::Converged).count(),
             iterations: iterations().count(),
+            derivatives: iterations().map(|i| i.derivatives).sum(),
             range: (accepted().min().unwrap_or(0), accepted().max().unwrap_or(0)),
             newton: (0..manifest.units.len()).map(newton).collect(),
             slack: history.series(SLACK[1]).and_then(|s| s.1.iter().skip(1).copied().reduce(f64::min)),
@@ -101,6 +104,7 @@ impl Totals {
             "time_steps": self.time_steps,
             "failed_attempts": self.failed_attempts,
             "coupling_iterations": self.iterations,
+            "derivatives": self.derivatives,
             "newton_iterations": self.newton,
             "smallest_energy_slack": self.slack,
             "seconds": seconds,

@@ -75,6 +75,7 @@ fn heads(manifest: &Manifest, scalars: &Snapshot) -> [String; 4] {
         iterations += &format!(",{}", cell(&format!("{}.newton_iterations", unit.name)));
         timings += &format!(",{}", cell(&format!("{} [s]", unit.name)));
     }
+    iterations += ",derivatives";
     let attempts = String::from("time_step,attempt,step [s],iterations,outcome,reason");
     [series, attempts, iterations, timings].map(|head| head + "\n")
 }
@@ -103,7 +104,7 @@ pub(crate) fn rows(record: &StepRecord, snapshot: &Snapshot) -> [String; 4] {
             for newton in &iteration.newton {
                 iterations += &format!(",{}", newton.map_or(String::new(), |n| n.to_string()));
             }
-            iterations.push('\n');
+            let _ = writeln!(iterations, ",{}", iteration.derivatives);
             let _ = write!(timings, "{key},{i}");
             iteration.seconds.iter().for_each(|seconds| timings += &format!(",{seconds:?}"));
             timings.push('\n');

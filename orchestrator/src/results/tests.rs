@@ -97,7 +97,7 @@ fn attempt(step: f64, seed: usize, count: usize, outcome: AttemptOutcome) -> Att
             residuals[1].norm = f64::NAN;
         }
         let newton = vec![None, Some(2 + (seed % 3) as u64)];
-        IterationRecord { residuals, seconds: vec![0.001 * i as f64, 0.002], newton }
+        IterationRecord { residuals, seconds: vec![0.001 * i as f64, 0.002], newton, derivatives: 2 * i }
     };
     Attempt { step, iterations: (1..=count).map(iteration).collect(), outcome }
 }
@@ -318,6 +318,8 @@ fn hdf5_and_tables_hold_what_the_journal_holds() {
     assert!(floats("iterations/fracture.pressure/residual").iter().any(|v| v.is_nan()));
     assert!(integers("iterations/flow/newton_iterations").iter().all(|&n| n == -1));
     assert_eq!(floats("iterations/mechanics/seconds"), vec![0.002; iterations.len()]);
+    let derivatives = iterations.iter().map(|i| i.derivatives as i64).collect::<Vec<_>>();
+    assert_eq!(integers("iterations/derivatives"), derivatives);
     for number in [0, 1, 5] {
         let group = format!("fields/{number:06}");
         let time = file.group(&group).unwrap().attr("time").unwrap().read_scalar::<f64>().unwrap();
@@ -345,10 +347,11 @@ fn hdf5_and_tables_hold_what_the_journal_holds() {
     }
     let rows = table("iterations.csv");
     assert_eq!(rows.len(), 1 + iterations.len());
-    assert_eq!(rows[0].len(), 3 + 4 * 4 + 2);
+    assert_eq!(rows[0].len(), 3 + 4 * 4 + 2 + 1);
     assert_eq!(rows[0][7], "fracture.pressure.residual [Pa]");
     for (row, iteration) in rows[1..].iter().zip(&iterations) {
         assert_eq!(row.len(), rows[0].len());
+        assert_eq!(row.last().unwrap().parse::<usize>().unwrap(), iteration.derivatives);
         assert_eq!(row[7].parse::<f64>().unwrap().to_bits(), iteration.residuals[1].norm.to_bits());
         assert_eq!((row[6].as_str(), row[19].as_str()), ("", ""), "no worst entry, no Newton iterations");
         assert_eq!(row[20], iteration.newton[1].unwrap().to_string());

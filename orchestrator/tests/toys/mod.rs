@@ -40,6 +40,8 @@ struct State {
     values: BTreeMap<String, Vec<f64>>,
     /// φ at the last time level (flow).
     porosity: Vec<f64>,
+    /// −∂p/∂φ (flow) or ∂φ/∂p (mechanics) at the end of the last time step.
+    slope: Vec<f64>,
 }
 
 pub(crate) struct Toy {
@@ -53,6 +55,8 @@ pub(crate) struct Toy {
     /// A porosity change below this is refused.
     pub(crate) least_porosity: f64,
     pub(crate) rolls_back: bool,
+    /// Whether it has directional derivatives.
+    pub(crate) differentiates: bool,
     /// From this time on (s) the porosity is not a number.
     pub(crate) breaks_at: f64,
     state: State,
@@ -91,8 +95,9 @@ impl Toy {
             rejects_after: 0.0,
             least_porosity: f64::NEG_INFINITY,
             rolls_back: true,
+            differentiates: true,
             breaks_at: f64::INFINITY,
-            state: State { values, porosity: vec![0.0; n] },
+            state: State { values, porosity: vec![0.0; n], slope: vec![0.0; n] },
             kept: None,
             newton: 0,
             log: Default::default(),
@@ -121,7 +126,9 @@ impl Toy {
             let (before, given) = (self.value("matrix.pressure", i), self.value("matrix.porosity_change", i));
             // φ* + C (p − p*) − φ_n + (p − p_n)/M + δt k p = 0
             let right = self.state.porosity[i] - given + compliance * reference + before / c.biot_modulus;
-            let p = right / (compliance + 1.0 / c.biot_modulus + step * c.leakage);
+            let diagonal = compliance + 1.0 / c.biot_modulus + step * c.leakage;
+            let p = right / diagonal;
+            self.state.slope[i] = 1.0 / diagonal;
             self.state.porosity[i] = given + compliance * (p - reference);
             self.state.values.get_mut("matrix.pressure").unwrap()[i] = p;
         }
@@ -149,6 +156,7 @@ impl Toy {
             let porosity = if end >= self.breaks_at { f64::NAN } else { b * strain };
             self.state.values.get_mut("matrix.porosity_change").unwrap()[i] = porosity;
             let tangent = c.stiffness + 3.0 * c.hardening * strain * strain;
+            self.state.slope[i] = b * b / (tangent + b * b * stiffness);
             self.state.values.get_mut("matrix.porosity_compliance").unwrap()[i] =
                 self.compliance_factor * b * b / tangent;
         }
@@ -225,6 +233,28 @@ impl Unit for Toy {
     fn deserialise(&mut self, bytes: &[u8]) -> Result<(), UnitError> {
         self.state = postcard::from_bytes(bytes).map_err(|e| UnitError::Refused { message: e.to_string() })?;
         Ok(())
+    }
+
+    fn derivative(&mut self, outputs: &[&str], inputs: &[(&str, &[f64])]) -> Result<Option<Vec<Vec<f64>>>, UnitError> {
+        if !self.differentiates {
+            return Ok(None);
+        }
+        self.log.lock().unwrap().push(format!("{} derivative", self.name()));
+        let mut sum = vec![0.0; self.columns.len()];
+        for (input, change) in inputs {
+            for (i, change) in change.iter().enumerate() {
+                let slope = self.state.slope[i];
+                sum[i] += change
+                    * match *input {
+                        "matrix.porosity_change" => -slope,
+                        "matrix.pressure_reference" => slope * self.value("matrix.porosity_compliance", i),
+                        "matrix.pressure" => slope,
+                        "matrix.porosity_change_reference" => slope * self.value("matrix.pressure_stiffness", i),
+                        other => panic!("{other}"),
+                    };
+            }
+        }
+        Ok(Some(outputs.iter().map(|o| if o.starts_with("matrix") { sum.clone() } else { Vec::new() }).collect()))
     }
 
     fn newton_iterations(&mut self) -> Option<u64> {

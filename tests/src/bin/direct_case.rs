@@ -2,8 +2,8 @@
 //!
 //! What the FMUs of the same resources give is held against it. `FILE` gets a line for each array: name, and numbers as
 //! the 16 hexadecimal digits of their bits. Five time steps each of 100 s: mechanics alone at the initial pressure, flow
-//! alone with apertures that grow by a quarter in each step after the first, and, by [`tests::six_fractures`], both by fixed stress with the
-//! compliance floor 1 (means of aperture and pressures, and the arrays at the end).
+//! alone with apertures that grow by a quarter in each step after the first, and, by [`tests::six_fractures`], both by fixed stress
+//! (means of aperture and pressures, and the arrays at the end).
 
 use std::error::Error;
 use std::fmt::Write;
@@ -60,7 +60,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let mut coupled = Coupled::new(read()?.1);
     for step in 1..=STEPS {
-        let record = coupled.step(STEP, 1.0);
+        let record = coupled.step(STEP, 0.0);
         note(&format!("coupled.means.{step}"), &record.means);
         println!(
             "{} s: {:?}, {} coupling iterations, {:?}",
