@@ -156,6 +156,7 @@ mod tests {
             residuals: vec![FieldResidual { norm, limit: 1.0, worst: Some(0) }],
             seconds: vec![0.25, 0.5],
             newton: vec![None, Some(2)],
+            derivatives: 0,
         };
         let record = |(number, norms): (usize, &&[f64])| StepRecord {
             number,
