@@ -10,6 +10,15 @@
 //! slip  (otherwise):          ⟦u⟧_n = 0,  λ_τ = bound b_τ/|b_τ|
 //! ```
 //!
+//! Tresca's bound and cohesion c end at once where a face opens, and then there may be no equilibrium: closed it would be
+//! pulled, open it would overlap. For such a step (and no other) they fade as the pressure does, over a small λ_0 > 0:
+//!
+//! ```text
+//! bound = F b_n + c min(1, b_n/λ_0),   λ_0 = c/10
+//! ```
+//!
+//! In the limit λ_0 → 0 a face may touch, λ_n = ⟦u⟧_n = 0, under any |λ_τ| ≤ c.
+//!
 //! Where the fracture has a normal stiffness k_n, ⟦u⟧_n = λ_n/k_n takes the place of ⟦u⟧_n = 0, also in b_n.
 //! All vectors are in the basis (n⁺, t₁, t₂) of the face.
 
@@ -48,6 +57,8 @@ pub(crate) struct Face {
     pub(crate) compliance: f64,
     /// Aperture in contact d_c (m).
     pub(crate) contact_aperture: f64,
+    /// λ_0 as a part of Tresca's bound or cohesion; `None` where these do not fade.
+    pub(crate) fading: Option<f64>,
 }
 
 /// How a face's pressure follows its aperture: p_f = p* − S_f (d_f − d*).
@@ -79,6 +90,11 @@ fn norm(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
+/// β in series with the fracture, so that β/k_n < 1.
+fn in_series(beta: f64, compliance: f64) -> f64 {
+    beta / (1.0 + beta * compliance)
+}
+
 impl Face {
     /// `stiffness` is that of the bulk against a jump of this face alone (Pa/m), β the part `beta_factor` of it.
     pub(crate) fn new(
@@ -88,15 +104,22 @@ impl Face {
         beta_factor: f64,
         contact_aperture: f64,
     ) -> Self {
+        let compliance = law.normal_stiffness.map_or(0.0, |k| 1.0 / k);
         Self {
             measure,
-            beta: beta_factor * stiffness,
+            beta: in_series(beta_factor * stiffness, compliance),
             stiffness,
             friction: law.friction,
             dilation: law.dilation_angle.tan(),
-            compliance: law.normal_stiffness.map_or(0.0, |k| 1.0 / k),
+            compliance,
             contact_aperture,
+            fading: None,
         }
+    }
+
+    /// The same face with `times` the β, for another path to the same solution.
+    pub(crate) fn with_larger_beta(&self, times: f64) -> Self {
+        Self { beta: in_series(times * self.beta, self.compliance), ..self.clone() }
     }
 
     /// Aperture d_f = d_c − ⟦u⟧_n + tan ψ |⟦u − u⁰⟧_τ| (m), with the slip counted from `origin`.
@@ -115,15 +138,26 @@ impl Face {
 
     /// |λ_τ| may not exceed this (Pa) at the normal multiplier λ_n.
     pub(crate) fn bound(&self, lambda_n: f64) -> f64 {
-        match self.friction {
-            Friction::None => 0.0,
-            Friction::Tresca { bound } => bound,
-            Friction::Coulomb { coefficient, cohesion } => coefficient * lambda_n + cohesion,
+        let [fixed, slope] = self.bound_parts(lambda_n);
+        fixed + slope * lambda_n
+    }
+
+    /// a and k of bound = a + k λ_n (Pa, 1) around a normal multiplier.
+    fn bound_parts(&self, lambda_n: f64) -> [f64; 2] {
+        let (fixed, slope) = match self.friction {
+            Friction::None => (0.0, 0.0),
+            Friction::Tresca { bound } => (bound, 0.0),
+            Friction::Coulomb { coefficient, cohesion } => (cohesion, coefficient),
+        };
+        match self.fading {
+            Some(part) if lambda_n < part * fixed => [0.0, slope + 1.0 / part],
+            _ => [fixed, slope],
         }
     }
 
-    fn coefficient(&self) -> f64 {
-        if let Friction::Coulomb { coefficient, .. } = self.friction { coefficient } else { 0.0 }
+    /// Whether the bound drops at once where the face opens.
+    pub(crate) fn drops(&self) -> bool {
+        self.fading.is_none() && self.bound(0.0) > 0.0
     }
 
     /// b_n, b_τ at a jump and a multiplier.
@@ -214,8 +248,7 @@ impl Face {
         // λ_τ = bound e + κ (1 − e eᵀ) δg_τ: the exact derivative of bound b_τ/|b_τ|, solved for λ_τ.
         let ratio = if length > 0.0 { self.bound(b[0]) / length } else { 0.0 };
         let kappa = (self.beta * ratio / (1.0 - ratio)).min(RIGID * self.stiffness);
-        let f = self.coefficient();
-        let fixed_bound = self.bound(0.0);
+        let [fixed_bound, f] = self.bound_parts(b[0]);
         for i in 1..dim {
             let ei = e[i - 1];
             law.t[i][i] = 1.0;

@@ -172,7 +172,8 @@ pub struct NewtonSettings {
     /// β > 0 of the complementarity functions, as a part of the stiffness of the bulk against a jump of the face alone; the
     /// iterates hardly depend on it.
     pub beta_factor: f64,
-    /// Newton iterations before a time step is given up.
+    /// Newton iterations of one attempt. A time step is given up after attempts with other β and, where Tresca's bound or
+    /// cohesion end at opening, with these fading.
     pub max_iterations: usize,
     /// The jump may change by at most this part of the largest jump in the last iteration, and contact laws may be
     /// violated by this part of the largest traction.

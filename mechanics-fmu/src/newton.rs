@@ -17,7 +17,9 @@
 //! iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
-//! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on.
+//! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on. If
+//! it goes on cycling, it starts again with a larger β. Where a bound that opening ends leaves no equilibrium, it is made to
+//! fade (see [`crate::contact`]).
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, OnceLock};
@@ -50,6 +52,12 @@ const RENEW_ABOVE: usize = 8;
 const ROUND_OFF: f64 = 1e-14;
 /// Gauss–Seidel sweeps after a cycle.
 const SWEEPS: usize = 5;
+/// Cycles after which another β is tried.
+const CYCLES: usize = 3;
+/// After β as set, these multiples of it are tried.
+const BETAS: [f64; 2] = [10.0, 100.0];
+/// λ_0 as a part of Tresca's bound or cohesion, where these must fade: step by step, each solved from the one before.
+const FADING: [f64; 3] = [1.0, 0.3, 0.1];
 
 /// The contact problem on all fracture faces.
 pub(crate) struct FractureProblem<'a> {
@@ -154,6 +162,8 @@ pub struct NewtonReport {
     pub face_factorisations: usize,
     /// Times that the contact states cycled and Gauss–Seidel sweeps were made.
     pub cycles: usize,
+    /// Times that Tresca's bound or cohesion was made to fade (further); 0 where there is an equilibrium without.
+    pub fadings: usize,
 }
 
 pub(crate) struct FractureSolution {
@@ -229,18 +239,66 @@ impl FractureProblem<'_> {
             .collect()
     }
 
-    /// Solves the contact problem of a time step, starting from stick everywhere.
+    /// Solves the contact problem of a time step, starting from stick everywhere or from the guess.
     pub(crate) fn solve(
         &self,
         data: &FractureData<'_>,
         factor: Option<Arc<FaceFactor>>,
     ) -> Result<FractureSolution, SingularFracture> {
-        let mut report = NewtonReport::default();
+        let mut solution = self.attempts(data, data.guess.as_deref(), factor, NewtonReport::default())?;
+        if solution.converged || !self.faces.iter().any(Face::drops) {
+            return Ok(solution);
+        }
+        let mut guess = data.guess.clone();
+        for part in FADING {
+            let faces: Vec<Face> = self.faces.iter().map(|face| Face { fading: Some(part), ..face.clone() }).collect();
+            let problem = FractureProblem { faces: &faces, ..*self };
+            solution.report.fadings += 1;
+            solution = problem.attempts(data, guess.as_deref(), solution.factor, solution.report)?;
+            if !solution.converged {
+                break;
+            }
+            guess = Some(solution.jump.iter().zip(data.previous).map(|(g, p)| g - p).collect());
+        }
+        Ok(solution)
+    }
+
+    /// Newton's method with one β after the other until it converges: a solution does not depend on β, but the path to it
+    /// does, most where pressures that follow make the laws curved.
+    fn attempts(
+        &self,
+        data: &FractureData<'_>,
+        guess: Option<&[f64]>,
+        factor: Option<Arc<FaceFactor>>,
+        report: NewtonReport,
+    ) -> Result<FractureSolution, SingularFracture> {
+        let mut solution = self.attempt(data, guess, factor, report)?;
+        for larger in BETAS {
+            if solution.converged {
+                break;
+            }
+            let faces: Vec<Face> = self.faces.iter().map(|face| face.with_larger_beta(larger)).collect();
+            let problem = FractureProblem { faces: &faces, ..*self };
+            solution = problem.attempt(data, guess, solution.factor, solution.report)?;
+        }
+        Ok(solution)
+    }
+
+    /// Newton's method from a guess of the increment (m); the report adds to an earlier one.
+    fn attempt(
+        &self,
+        data: &FractureData<'_>,
+        guess: Option<&[f64]>,
+        factor: Option<Arc<FaceFactor>>,
+        mut report: NewtonReport,
+    ) -> Result<FractureSolution, SingularFracture> {
+        let limit = report.iterations + self.settings.max_iterations;
+        let most_cycles = report.cycles + CYCLES;
         let mut workshop = Workshop { factor, ..Workshop::default() };
         let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
         (self.schur.add_product)(data.previous, &mut force);
         let mut at = self.iterate(data, vec![0.0; data.rhs.len()], force);
-        if let Some(guess) = &data.guess {
+        if let Some(guess) = guess {
             let guessed = self.corrected(data, &at, guess);
             if guessed.violation < at.violation {
                 at = guessed;
@@ -249,7 +307,7 @@ impl FractureProblem<'_> {
         let mut seen = HashSet::new();
         let mut change = 0.0;
         let mut converged = self.faces.is_empty();
-        while !converged && report.iterations < self.settings.max_iterations {
+        while !converged && report.iterations < limit && report.cycles < most_cycles {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
             let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report);

@@ -5,7 +5,8 @@ use std::f64::consts::PI;
 use std::sync::{Arc, LazyLock};
 
 use mechanics_fmu::{
-    Bubbles, ContactState, Energy, FractureLaw, Friction, Mechanics, Outcome, Partner, State, StepReport,
+    Bubbles, ContactState, Energy, FractureLaw, Friction, Mechanics, Outcome, Partner, PartnerResponse, State,
+    StepReport,
 };
 use mesh::{Mesh, Vec3};
 use proptest::prelude::*;
@@ -37,6 +38,8 @@ struct Case {
     mesh: usize,
     laws: Vec<(Friction, f64, Option<f64>)>,
     two_sided: bool,
+    /// Stiffnesses (Pa, Pa/m) with which pressures follow.
+    follow: Option<(f64, f64)>,
     loads: Vec<Load>,
 }
 
@@ -50,8 +53,9 @@ fn load() -> impl Strategy<Value = Load> {
 fn case(friction: impl Strategy<Value = Friction>) -> impl Strategy<Value = Case> {
     let law = (friction, 0.0..0.4, prop_oneof![2 => Just(None), 1 => (1e10..1e12).prop_map(Some)]);
     let laws = prop::collection::vec(law, 2);
-    (0..MESHES.len(), laws, any::<bool>(), prop::collection::vec(load(), 3))
-        .prop_map(|(mesh, laws, two_sided, loads)| Case { mesh, laws, two_sided, loads })
+    let follow = prop_oneof![3 => Just(None), 1 => (0.0..1e10, 0.0..1e10).prop_map(Some)];
+    (0..MESHES.len(), laws, any::<bool>(), follow, prop::collection::vec(load(), 3))
+        .prop_map(|(mesh, laws, two_sided, follow, loads)| Case { mesh, laws, two_sided, follow, loads })
 }
 
 fn prepare(case: &Case) -> Mechanics {
@@ -71,15 +75,21 @@ fn prepare(case: &Case) -> Mechanics {
     start(mesh, model)
 }
 
-fn partner(mesh: &Mesh, load: &Load) -> Partner {
-    Partner {
-        fracture_pressure: vec![load.fracture_pressure; mesh.network().face_count()],
-        ..Partner::uniform(mesh, load.matrix_pressure)
-    }
+fn partner(mesh: &Mesh, load: &Load, follow: Option<(f64, f64)>) -> Partner {
+    let (cells, faces) = (mesh.cell_count(), mesh.network().face_count());
+    let response = follow.map(|(matrix, fracture)| PartnerResponse {
+        matrix_pressure_stiffness: vec![matrix; cells],
+        porosity_change: vec![0.0; cells],
+        fracture_pressure_stiffness: vec![fracture; faces],
+        aperture: vec![1e-4; faces],
+    });
+    let fracture_pressure = vec![load.fracture_pressure; faces];
+    Partner { fracture_pressure, response, ..Partner::uniform(mesh, load.matrix_pressure) }
 }
 
-/// What the laws of section 1 of the method forbid on some face, written down without any complementarity function.
-fn broken_law(mechanics: &Mechanics, previous: &State, state: &State) -> Option<String> {
+/// What the laws of section 1 of the method forbid on some face, written down without any complementarity function. Where
+/// bounds had to fade, a face may touch at less than its bound.
+fn broken_law(mechanics: &Mechanics, previous: &State, state: &State, faded: bool) -> Option<String> {
     let (space, mesh) = (mechanics.space(), mechanics.mesh());
     let d = space.dim();
     let (jump, before) = (state.jump(space), previous.jump(space));
@@ -97,11 +107,13 @@ fn broken_law(mechanics: &Mechanics, previous: &State, state: &State) -> Option<
         let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
         let (shear, slipped) = (norm(&lambda[1..]), norm(&slip));
         let open = closure < -gap;
-        let bound = match law.friction {
-            Friction::None => 0.0,
-            Friction::Tresca { bound } => bound,
-            Friction::Coulomb { coefficient, cohesion } => coefficient * lambda[0] + cohesion,
+        let (fixed, coefficient) = match law.friction {
+            Friction::None => (0.0, 0.0),
+            Friction::Tresca { bound } => (bound, 0.0),
+            Friction::Coulomb { coefficient, cohesion } => (cohesion, coefficient),
         };
+        let bound = fixed + coefficient * lambda[0];
+        let touches = faded && lambda[0] < 0.1 * fixed;
         let work: f64 = slip.iter().zip(&lambda[1..]).map(|(s, l)| s * l).sum();
         let faults = [
             ("penetrates", closure > gap),
@@ -109,11 +121,14 @@ fn broken_law(mechanics: &Mechanics, previous: &State, state: &State) -> Option<
             ("is open and pressed", open && lambda[0] > traction),
             ("is open and sheared", open && shear > traction),
             ("is sheared beyond its bound", !open && shear > bound.max(0.0) + 2.0 * traction),
-            ("slips below its bound", !open && slipped > gap && shear < bound - 2.0 * traction),
+            ("slips below its bound", !open && !touches && slipped > gap && shear < bound - 2.0 * traction),
             ("slips across its traction", !open && slipped > gap && work < (shear - 2.0 * traction) * slipped),
             ("is called open", state.contact[i] == ContactState::Open && (lambda[0] > traction || closure > gap)),
             ("is called stuck", state.contact[i] == ContactState::Stick && slipped > gap),
-            ("is called slipping", state.contact[i] == ContactState::Slip && shear < bound - 2.0 * traction),
+            (
+                "is called slipping",
+                state.contact[i] == ContactState::Slip && !touches && shear < bound - 2.0 * traction,
+            ),
         ];
         if let Some((fault, _)) = faults.iter().find(|(_, is)| *is) {
             return Some(format!("face {i} {fault}: jump {g:?} after {g0:?}, λ {lambda:?}, bound {bound}"));
@@ -133,9 +148,10 @@ fn balance(before: &Energy, report: &StepReport) -> Result<(), String> {
     Ok(())
 }
 
-/// Number of steps, of those that converged, of these that cycled before, and of Newton iterations.
-fn run(cases: u32, friction: impl Strategy<Value = Friction>) -> [usize; 4] {
-    let counts = Cell::new([0; 4]);
+/// Number of steps, of those that converged, of these that cycled before, of Newton iterations, and of steps in which
+/// bounds faded.
+fn run(cases: u32, friction: impl Strategy<Value = Friction>) -> [usize; 5] {
+    let counts = Cell::new([0; 5]);
     let config = ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() };
     let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
     let result = runner.run(&case(friction), |case| {
@@ -143,26 +159,25 @@ fn run(cases: u32, friction: impl Strategy<Value = Friction>) -> [usize; 4] {
         let mut state = mechanics.rest(0.0);
         let mut energy = Energy::default();
         for (k, load) in case.loads.iter().enumerate() {
-            let partner = partner(mechanics.mesh(), load);
-            let [mut steps, mut converged, mut cycled, mut iterations] = counts.get();
+            let partner = partner(mechanics.mesh(), load, case.follow);
+            let [mut steps, mut converged, mut cycled, mut iterations, mut faded] = counts.get();
             steps += 1;
             match mechanics.step(&state, (k + 1) as f64, &partner) {
                 Ok(Outcome::Converged(next, report)) => {
                     converged += 1;
                     cycled += usize::from(report.newton.cycles > 0);
+                    faded += usize::from(report.newton.fadings > 0);
                     iterations += report.newton.iterations;
-                    if let Some(fault) = broken_law(&mechanics, &state, &next) {
+                    if let Some(fault) = broken_law(&mechanics, &state, &next, report.newton.fadings > 0) {
                         return Err(TestCaseError::fail(format!("step {k}: {fault}; {report:?}")));
                     }
                     balance(&energy, &report).map_err(|e| TestCaseError::fail(format!("step {k}: {e}")))?;
                     (state, energy) = (next, report.energy);
                 }
-                Ok(Outcome::NotConverged(report)) => {
-                    assert_eq!(report.newton.iterations, mechanics.model().newton.max_iterations);
-                }
+                Ok(Outcome::NotConverged(_)) => {}
                 Err(e) => return Err(TestCaseError::fail(e.to_string())),
             }
-            counts.set([steps, converged, cycled, iterations]);
+            counts.set([steps, converged, cycled, iterations, faded]);
             if converged < steps && state.time < k as f64 {
                 break;
             }
@@ -178,28 +193,33 @@ fn run(cases: u32, friction: impl Strategy<Value = Friction>) -> [usize; 4] {
 #[test]
 fn laws_hold_on_every_face() {
     let coulomb = (0.0..0.9).prop_map(|coefficient| Friction::Coulomb { coefficient, cohesion: 0.0 });
-    let [steps, converged, _, iterations] = run(100, prop_oneof![1 => Just(Friction::None), 4 => coulomb]);
+    let [steps, converged, _, iterations, _] = run(100, prop_oneof![1 => Just(Friction::None), 4 => coulomb]);
+    println!("{converged} of {steps} steps, {iterations} Newton iterations");
     assert_eq!(converged, steps);
     assert!(iterations <= 6 * steps, "{iterations} in {steps} steps");
 }
 
-/// Where a face opens, Tresca's bound and cohesion drop to 0 at once: there may be no equilibrium.
+/// Where a face opens, Tresca's bound and cohesion drop to 0 at once. Where that leaves no equilibrium, they fade.
 #[test]
-fn a_bound_that_opening_ends_gives_an_equilibrium_or_is_reported() {
+fn a_bound_that_opening_ends_gives_an_equilibrium() {
     let tresca = (0.0..5e6).prop_map(|bound| Friction::Tresca { bound });
     let cohesive = (0.0..0.9, 0.0..2e6);
     let cohesive = cohesive.prop_map(|(coefficient, cohesion)| Friction::Coulomb { coefficient, cohesion });
-    let [steps, converged, ..] = run(100, prop_oneof![tresca, cohesive]);
-    assert!(20 * converged >= 19 * steps, "{converged} of {steps}");
+    let [steps, converged, _, iterations, faded] = run(150, prop_oneof![tresca, cohesive]);
+    println!("{converged} of {steps} steps, {iterations} Newton iterations, {faded} faded");
+    assert_eq!(converged, steps);
+    assert!(faded > 0 && 10 * faded < steps, "{faded} of {steps} faded");
+    assert!(iterations <= 12 * steps, "{iterations} in {steps} steps");
 }
 
 #[test]
 fn strong_friction_finds_an_equilibrium_through_cycles() {
     let strong = (1.0..5.0).prop_map(|coefficient| Friction::Coulomb { coefficient, cohesion: 0.0 });
-    let [steps, converged, cycled, _] = run(100, strong);
+    let [steps, converged, cycled, iterations, _] = run(150, strong);
+    println!("{converged} of {steps} steps, {iterations} Newton iterations, {cycled} cycled");
     assert!(cycled > 0, "no case cycled");
-    // Without the sweeps after a cycle one of them fails.
     assert_eq!(converged, steps);
+    assert!(iterations <= 8 * steps, "{iterations} in {steps} steps");
 }
 
 /// A crack in two squares pressed by a pressure and sheared: the slip at both ends of its range.
