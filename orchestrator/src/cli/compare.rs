@@ -468,10 +468,9 @@ fn adapt(case: &mut Case, study: &Study) -> Result<(), CliError> {
 fn programs() -> Result<Vec<u8>, CliError> {
     let own = std::env::current_exe().map_err(CliError::file(Path::new("this program")))?;
     let mut files = vec![own.clone()];
-    let beside = own
-        .parent()
-        .into_iter()
-        .flat_map(|folder| ["flow", "mechanics"].into_iter().flat_map(super::pack::files_of).map(|name| folder.join(name)));
+    let beside = own.parent().into_iter().flat_map(|folder| {
+        ["flow", "mechanics"].into_iter().flat_map(super::pack::files_of).map(|name| folder.join(name))
+    });
     files.extend(beside.filter(|path| path.is_file()));
     let mut digest = Sha256::new();
     for path in files {
