@@ -157,6 +157,10 @@ pub struct Neumann {
 }
 
 /// On which sides of a fracture face the displacement has a bubble.
+///
+/// With bubbles on both sides the method does not tell the sides apart. With one, exchanging them makes another
+/// discretisation, whose solution agrees to the order of the method; a slip that changes along the fracture, as near tips,
+/// then loads its two sides differently, and the normal traction oscillates there from face to face.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Bubbles {
     /// On the plus side.
