@@ -12,8 +12,8 @@ def test_mechanics_repeats_the_coupled_run_to_the_last_bit(record, tmp_path):
         for number, group in first["fields"].items():
             for name in group:
                 assert (group[name][()] == second["fields"][number][name][()]).all(), (number, name)
-        # A pass to follow the pressures, and one that finds nothing changed.
-        assert (second["attempts/iterations"][:] == 2).all()
+        # A pass to follow the pressures, and what the acceleration needs to find that nothing changes.
+        assert (second["attempts/iterations"][:] <= 3).all()
 
 
 def test_pressures_are_linear_between_records(record, tmp_path):
