@@ -72,6 +72,7 @@ impl Outcome {
             iterations: iterations().count(),
             mean: iterations().count() as f64 / self.attempts().map(|(n, _)| n).max().unwrap_or(1) as f64,
             largest: accepted.max().unwrap_or(0),
+            derivatives: iterations().map(|i| i.derivatives).sum(),
             newton: (0..self.units.len()).map(newton).collect(),
             contraction: (0..self.fields.len()).map(|f| contraction(self.attempts().map(|a| a.1), f)).collect(),
             seconds: (0..self.units.len()).map(|u| iterations().map(|i| i.seconds[u]).sum()).collect(),
@@ -133,6 +134,8 @@ pub struct Measures {
     pub mean: f64,
     /// Largest number of those of an accepted attempt.
     pub largest: usize,
+    /// Directional derivatives of each coupled unit that the acceleration took.
+    pub derivatives: usize,
     /// Newton iterations of each unit, where it tells.
     pub newton: Vec<Option<u64>>,
     /// Geometric mean of the ratios of successive residuals, for each field.

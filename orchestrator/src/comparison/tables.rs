@@ -71,13 +71,14 @@ fn columns(comparison: &Comparison, rows: &[Row<'_>]) -> Vec<(String, Vec<Cell>)
         });
     }
     add("outcome".into(), &|row| Cell::Text(row.state().into()));
-    let measured: [(&str, Measure); 7] = [
+    let measured: [(&str, Measure); 8] = [
         ("reached [s]", |m| m.reached),
         ("time_steps", |m| m.time_steps as f64),
         ("failed_attempts", |m| m.failed_attempts as f64),
         ("coupling_iterations", |m| m.iterations as f64),
         ("mean_iterations", |m| m.mean),
         ("largest_iterations", |m| m.largest as f64),
+        ("derivatives", |m| m.derivatives as f64),
         ("total [s]", |m| m.total),
     ];
     for (name, of) in measured {
