@@ -403,3 +403,97 @@ impl Sums {
         self.count += usize::from(value != 0.0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::cli::case::Case;
+
+    /// Terzaghi's column, 1 m by 10 m, on which the pressure is y at cell centres and the displacement (1, 2).
+    fn verdicts(claims: &str, scalars: &[f64]) -> Vec<Option<(bool, String)>> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/terzaghi");
+        let case = Case::load(&folder, &[], &[]).unwrap();
+        let mesh = case.mesh().unwrap();
+        let measures = r#"
+            [measures]
+            total = { on = "cells", of = "pressure", take = "integral" }
+            norm = { on = "cells", of = "displacement_y + 0*displacement_x", take = "l2" }
+            upper = { on = "cells", of = "pressure", only = "cell_y > 5", take = "mean" }
+            error = { on = "cells", of = "pressure - cell_y", take = "max" }
+            none = { on = "cells", of = "pressure", only = "y > 11", take = "max" }
+        "#;
+        let reference: Reference = toml::from_str(&format!("{measures}{claims}")).unwrap();
+        let fields = ["matrix.pressure", "matrix.displacement"];
+        let model = &case.document.model;
+        let mut judge = Judge::new(&reference, "default", model, &mesh, &["a.b"], &fields).unwrap();
+        let centers = mesh.geometry().cell_center.clone();
+        let mut field = |name: &str| {
+            Ok(match name {
+                "matrix.pressure" => centers.iter().map(|x| x.y).collect(),
+                _ => [1.0, 2.0].repeat(centers.len()),
+            })
+        };
+        for (number, value) in scalars.iter().enumerate() {
+            let (last, scalars) = (number + 1 == scalars.len(), &[*value][..]);
+            let (time, field) = (number as f64, &mut field);
+            let now = Now { time, step: 1.0, number, iterations: 3, newton: 0, last, scalars, field };
+            judge.see(now).unwrap();
+        }
+        judge.verdicts().iter().map(Verdict::line).collect()
+    }
+
+    #[test]
+    fn measures_are_integrals_norms_and_ends() {
+        let claim = |value: &str, equals: f64| {
+            format!(
+                "[[claims]]\nsays = \"\"\nvalue = \"{value}\"\nequals = {equals}\nwithin = 1e-12\nwhen = \"last\"\n"
+            )
+        };
+        let right = [("total", 50.0), ("norm^2", 40.0), ("upper", 7.5), ("1 + error", 1.0), ("h", 0.125_f64.sqrt())];
+        let text: String = right.map(|(value, equals)| claim(value, equals)).concat();
+        assert!(verdicts(&text, &[0.0, 1.0]).iter().all(|v| v.as_ref().is_some_and(|v| v.0)), "{text}");
+        let wrong = [("total", 50.1), ("none", 0.0), ("1/error", 0.0)];
+        let text: String = wrong.map(|(value, equals)| claim(value, equals)).concat();
+        assert!(verdicts(&text, &[0.0, 1.0]).iter().all(|v| v.as_ref().is_some_and(|v| !v.0)), "{text}");
+    }
+
+    #[test]
+    fn claims_hold_at_all_times_at_the_first_or_at_none() {
+        let claim = |rest: &str| format!("[[claims]]\nsays = \"\"\nvalue = \"a_b - previous_a_b\"\n{rest}\n");
+        let text = [
+            "at_least = 0",
+            "at_least = 0\nwhen = \"t < 2.5\"",
+            "at_least = 1\nat_most = 1\nwhen = \"a_b > 0\"\nfirst = true",
+            "at_most = 9\nwhen = \"t > 9\"",
+            "at_most = \"iterations - 1\"",
+        ]
+        .map(claim)
+        .concat();
+        let found = verdicts(&text, &[0.0, 1.0, 3.0, 2.0]);
+        let holds: Vec<bool> = found.iter().flatten().map(|v| v.0).collect();
+        assert_eq!(holds, [false, true, true, false, true], "{found:?}");
+        let lines: Vec<&str> = found.iter().flatten().map(|v| v.1.as_str()).collect();
+        assert!(
+            lines[0].contains("-1 at t = 3 s (the worst of 1 wrong ones of 3), must be at least 0"),
+            "{}",
+            lines[0]
+        );
+        assert!(lines[3].contains("never looked at"), "{}", lines[3]);
+        // What is not a number holds nothing.
+        let found = verdicts(&claim("at_least = 0"), &[0.0, f64::NAN]);
+        assert!(found.iter().flatten().all(|v| !v.0), "{found:?}");
+    }
+
+    #[test]
+    fn an_order_is_that_of_the_last_levels() {
+        let claim = Claim { order: Some(2.0), variants: vec![String::new(); 3], ..Claim::default() };
+        let levels = |last: f64| [[0.4, 8.0], [0.2, 4.0], [0.1, last]];
+        assert!(order(&claim, &levels(1.0)).0);
+        assert!(order(&claim, &levels(1.07)).0);
+        assert!(!order(&claim, &levels(1.08)).0);
+        assert!(!order(&claim, &levels(1.0)[1..]).0, "a level is missing");
+        assert!(!order(&claim, &levels(f64::NAN)).0);
+    }
+}
