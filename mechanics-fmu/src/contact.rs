@@ -73,7 +73,7 @@ pub(crate) struct FacePartner {
 /// The law of a face linearised at an increment δ of its jump: corrections of δ that are given, and for each other
 /// component i the equation Σ_j T_ij (force of the bulk on the face)_j + Σ_j H_ij (correction)_j + h_i = 0, where the sums
 /// run over the components of the face and the force is (S δ)_j − r_j after the correction.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Linearised {
     /// The correction of each component that is given; `None` for an unknown.
     pub(crate) given: [Option<f64>; 3],

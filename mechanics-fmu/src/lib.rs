@@ -22,6 +22,7 @@
 
 pub mod contact;
 pub mod error;
+mod linearised;
 pub mod mechanics;
 pub mod model;
 mod newton;

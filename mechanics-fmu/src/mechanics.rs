@@ -3,15 +3,16 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use linear::{Forward, Scratch};
+use linear::{DenseSymmetric, Forward, Scratch};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
+use crate::contact::{ContactState, Face, FacePartner, Local};
 use crate::error::{MechanicsError, ModelProblem};
+use crate::linearised::Schur;
 use crate::model::Model;
-use crate::newton::{FaceFactor, FractureData, FractureProblem, NewtonReport, Schur, SingularFracture};
+use crate::newton::{FractureData, FractureProblem, NewtonReport, SingularFracture};
 use crate::space::Space;
 use crate::system::{SetupReport, System, boundary_nodes};
 
@@ -65,7 +66,6 @@ pub struct State {
     pub initial_divergence: Vec<f64>,
     /// Jump at the initial state (m), from which the slip of dilation counts: fracture faces × d.
     pub initial_jump: Vec<f64>,
-    pub(crate) factor: Option<Arc<FaceFactor>>,
     pub(crate) history: History,
 }
 
@@ -78,7 +78,6 @@ pub struct SavedState {
     contact: Vec<ContactState>,
     initial_divergence: Vec<f64>,
     initial_jump: Vec<f64>,
-    factor: Option<Vec<Linearised>>,
     history: History,
 }
 
@@ -211,7 +210,7 @@ impl Mechanics {
         let faces = (apertures.iter().zip(&network.faces).enumerate())
             .map(|(i, (&(law, aperture), &face))| {
                 let measure = geometry.face_measure[face];
-                let local = (0..d).map(|c| f64::from(system.schur[(i * d + c, i * d + c)])).sum::<f64>() / d as f64;
+                let local = (0..d).map(|c| f64::from(system.schur.get(i * d + c, i * d + c))).sum::<f64>() / d as f64;
                 Face::new(law, measure, local / measure, model.newton.beta_factor, aperture)
             })
             .collect();
@@ -253,7 +252,6 @@ impl Mechanics {
             contact: vec![ContactState::Stick; self.faces.len()],
             initial_divergence: vec![0.0; self.mesh.cell_count()],
             initial_jump: vec![0.0; jumps],
-            factor: None,
             history: History {
                 previous_jump: vec![0.0; jumps],
                 time_step: 0.0,
@@ -305,7 +303,8 @@ impl Mechanics {
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
         let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
-        let problem = self.fracture_problem(&add_product);
+        let inverse = || self.system.schur_inverse();
+        let problem = self.fracture_problem(&inverse, &add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
             largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
@@ -314,7 +313,7 @@ impl Mechanics {
             partners: &partners,
             guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        let solution = problem.solve(&data, previous.factor.clone()).map_err(singular)?;
+        let solution = problem.solve(&data).map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
@@ -339,7 +338,6 @@ impl Mechanics {
             contact: solution.states,
             initial_divergence: previous.initial_divergence.clone(),
             initial_jump: previous.initial_jump.clone(),
-            factor: solution.factor,
             history: History { previous_jump: previous_jump.to_vec(), time_step: time - previous.time, partners },
         };
         report.energy = self.energy(previous, &state, &loads, &rhs)?;
@@ -347,10 +345,14 @@ impl Mechanics {
         Ok(Outcome::Converged(state, report))
     }
 
-    fn fracture_problem<'a>(&'a self, add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync)) -> FractureProblem<'a> {
+    fn fracture_problem<'a>(
+        &'a self,
+        inverse: &'a (dyn Fn() -> Option<&'a DenseSymmetric> + Sync),
+        add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
+    ) -> FractureProblem<'a, 'a> {
         FractureProblem {
             dim: self.mesh.dim(),
-            schur: Schur { single: self.system.schur.as_ref(), add_product },
+            schur: Schur { single: &self.system.schur, inverse, add_product },
             faces: &self.faces,
             settings: self.model.newton,
         }
@@ -566,14 +568,11 @@ impl Mechanics {
             ("initial jump", s.initial_jump.len(), d * faces),
             ("previous jump", s.history.previous_jump.len(), d * faces),
             ("partner of a fracture face", s.history.partners.len(), faces),
-            ("linearised law", s.factor.as_ref().map_or(faces, Vec::len), faces),
         ] {
             if found != expected {
                 return Err(MechanicsError::Length { field, found, expected });
             }
         }
-        let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
-        let problem = self.fracture_problem(&add_product);
         Ok(State {
             time: saved.time,
             unknowns: saved.unknowns,
@@ -581,7 +580,6 @@ impl Mechanics {
             contact: saved.contact,
             initial_divergence: saved.initial_divergence,
             initial_jump: saved.initial_jump,
-            factor: saved.factor.map(|laws| Arc::new(problem.face_factor(laws))),
             history: saved.history,
         })
     }
@@ -677,7 +675,8 @@ impl Mechanics {
     /// The change of the jump for a change of the condensed right-hand side.
     fn jump_response(&self, state: &State, change: &[f64]) -> Result<Vec<f64>, MechanicsError> {
         let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
-        let problem = self.fracture_problem(&add_product);
+        let inverse = || self.system.schur_inverse();
+        let problem = self.fracture_problem(&inverse, &add_product);
         let data = FractureData {
             rhs: change,
             largest_force: 0.0,
@@ -687,7 +686,7 @@ impl Mechanics {
             guess: None,
         };
         let jump = state.jump(&self.system.space);
-        problem.response(&data, jump, &state.multiplier, &state.contact, state.factor.clone(), change).map_err(singular)
+        problem.response(&data, jump, &state.multiplier, &state.contact, change).map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
@@ -836,7 +835,6 @@ impl State {
             contact: self.contact.clone(),
             initial_divergence: self.initial_divergence.clone(),
             initial_jump: self.initial_jump.clone(),
-            factor: self.factor.as_ref().map(|factor| factor.laws().to_vec()),
             history: self.history.clone(),
         }
     }

@@ -11,42 +11,28 @@
 //! last block of the one factorisation is its factor.
 //!
 //! A Newton iteration decides the contact states from δ and λ, linearises the laws (see [`crate::contact`]), and solves for
-//! the correction of δ by GMRES. The forces are computed in double precision, from the factor; the corrections with a copy
-//! of S in single precision, which is reading and storing half as much. The preconditioner is a dense LU factorisation
-//! at earlier states, bordered for the components that have become known or unknown since, and kept as long as few
-//! iterations do. It belongs to the state: a step repeated from the same state repeats bit for bit.
+//! the correction of δ (see [`crate::linearised`]). The forces are computed in double precision, from the factor; the
+//! corrections with copies of S and S⁻¹ in single precision, which is reading and storing half as much. Nothing is kept
+//! from one step to the next: a step repeated from the same state repeats bit for bit.
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on. If
 //! it goes on cycling, it starts again with a larger β. Where a bound that opening ends leaves no equilibrium, it is made to
 //! fade (see [`crate::contact`]).
 
-use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, OnceLock};
+use std::collections::HashSet;
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::lu::partial_pivoting::solve::{solve_in_place, solve_in_place_scratch};
-use faer::linalg::solvers::PartialPivLu;
-use faer::{Mat, MatMut, MatRef, Par};
-use rayon::prelude::*;
+use linear::DenseSymmetric;
 
 use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
+use crate::linearised::{Inverse, LinearisedProblem, Schur};
 use crate::model::NewtonSettings;
 
-/// A linear solve reduces the residual by this much: Newton's method needs no more, and where a preconditioner is exact
-/// it does far better.
-const FORCING: f64 = 1e-3;
+/// A linear solve reduces the residual by this much, which one or two iterations reach. Less would do for Newton's method,
+/// but one more iteration of that costs more.
+const FORCING: f64 = 1e-6;
 /// Residuals below this part of the largest force on a face are round-off.
 const NEGLIGIBLE: f64 = 1e-15;
-/// Limit of GMRES.
-const KRYLOV: usize = 40;
-/// The preconditioner is renewed, not bordered, when more than one in this many components of the jump have become
-/// known or unknown: bordering k of n takes 2 k n² operations, renewing ⅔ n³.
-const BORDER: usize = 4;
-/// A step leaves the next one a new factor if the border has become wider than one in this many components.
-const STALE: usize = 20;
-/// The preconditioner is renewed when a solve needed more iterations than this.
-const RENEW_ABOVE: usize = 8;
 /// What round-off leaves of a force, as part of the largest given force and of the forces that cancel in S δ. Where nothing
 /// presses on the fracture, tractions are nothing else.
 const ROUND_OFF: f64 = 1e-14;
@@ -60,20 +46,11 @@ const BETAS: [f64; 2] = [10.0, 100.0];
 const FADING: [f64; 3] = [1.0, 0.3, 0.1];
 
 /// The contact problem on all fracture faces.
-pub(crate) struct FractureProblem<'a> {
+pub(crate) struct FractureProblem<'a, 'f> {
     pub(crate) dim: usize,
     pub(crate) schur: Schur<'a>,
-    pub(crate) faces: &'a [Face],
+    pub(crate) faces: &'f [Face],
     pub(crate) settings: NewtonSettings,
-}
-
-/// The Schur complement of the bulk on the jumps.
-#[derive(Clone, Copy)]
-pub(crate) struct Schur<'a> {
-    /// In single precision.
-    pub(crate) single: MatRef<'a, f32>,
-    /// y += S x in double precision.
-    pub(crate) add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
 }
 
 /// The data of a time step.
@@ -107,50 +84,6 @@ struct Iterate {
     excess: f64,
 }
 
-/// A dense LU factorisation of the linearised problem at some earlier states.
-pub(crate) struct FaceFactor {
-    laws: Vec<Linearised>,
-    unknowns: Vec<usize>,
-    /// Made on first use, so that states which nothing follows cost nothing.
-    lu: OnceLock<PartialPivLu<f32>>,
-}
-
-/// A [`FaceFactor`] used for other laws. Exact where these differ only in which components are given: a component that
-/// has become known is held by a Lagrange multiplier, one that has become unknown is appended.
-struct Preconditioner {
-    factor: Arc<FaceFactor>,
-    /// Components that have become unknown.
-    added: Vec<usize>,
-    /// Places in `factor.unknowns` of those that have become known.
-    removed: Vec<usize>,
-    /// Rows of the added components over the factor's unknowns.
-    added_rows: Mat<f32>,
-    /// Factor's inverse times the columns of the border.
-    columns: Mat<f32>,
-    corner: PartialPivLu<f32>,
-}
-
-impl FaceFactor {
-    /// The laws that were factorised, from which [`FractureProblem::face_factor`] makes the same factor.
-    pub(crate) fn laws(&self) -> &[Linearised] {
-        &self.laws
-    }
-}
-
-/// The factor that the next linear solve starts from, and the columns of borders that were needed with it: for each
-/// component, the factor's inverse times its column.
-#[derive(Default)]
-struct Workshop {
-    factor: Option<Arc<FaceFactor>>,
-    columns: HashMap<usize, Vec<f32>>,
-}
-
-impl std::fmt::Debug for FaceFactor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("FaceFactor").field("faces", &self.laws.len()).finish_non_exhaustive()
-    }
-}
-
 /// What Newton's method did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NewtonReport {
@@ -158,8 +91,10 @@ pub struct NewtonReport {
     pub iterations: usize,
     /// GMRES iterations, all together.
     pub linear_iterations: usize,
-    /// Dense factorisations on the fracture, counting one that is left to the next step.
+    /// Dense factorisations on the fracture.
     pub face_factorisations: usize,
+    /// Unknowns of the largest of them.
+    pub largest_factorisation: usize,
     /// Times that the contact states cycled and Gauss–Seidel sweeps were made.
     pub cycles: usize,
     /// Times that Tresca's bound or cohesion was made to fade (further); 0 where there is an equilibrium without.
@@ -170,7 +105,6 @@ pub(crate) struct FractureSolution {
     pub(crate) jump: Vec<f64>,
     pub(crate) lambda: Vec<f64>,
     pub(crate) states: Vec<ContactState>,
-    pub(crate) factor: Option<Arc<FaceFactor>>,
     pub(crate) report: NewtonReport,
     pub(crate) converged: bool,
     /// Largest violation of a contact law (Pa) and largest change of the jump (m) in the last iteration.
@@ -182,7 +116,7 @@ pub(crate) struct FractureSolution {
 #[derive(Debug)]
 pub(crate) struct SingularFracture(pub(crate) Vec<ContactState>);
 
-impl FractureProblem<'_> {
+impl<'a> FractureProblem<'a, '_> {
     fn local(&self, v: &[f64], face: usize) -> Local {
         let mut out = [0.0; 3];
         out[..self.dim].copy_from_slice(&v[face * self.dim..][..self.dim]);
@@ -240,12 +174,8 @@ impl FractureProblem<'_> {
     }
 
     /// Solves the contact problem of a time step, starting from stick everywhere or from the guess.
-    pub(crate) fn solve(
-        &self,
-        data: &FractureData<'_>,
-        factor: Option<Arc<FaceFactor>>,
-    ) -> Result<FractureSolution, SingularFracture> {
-        let mut solution = self.attempts(data, data.guess.as_deref(), factor, NewtonReport::default())?;
+    pub(crate) fn solve(&self, data: &FractureData<'_>) -> Result<FractureSolution, SingularFracture> {
+        let mut solution = self.attempts(data, data.guess.as_deref(), NewtonReport::default())?;
         if solution.converged || !self.faces.iter().any(Face::drops) {
             return Ok(solution);
         }
@@ -254,7 +184,7 @@ impl FractureProblem<'_> {
             let faces: Vec<Face> = self.faces.iter().map(|face| Face { fading: Some(part), ..face.clone() }).collect();
             let problem = FractureProblem { faces: &faces, ..*self };
             solution.report.fadings += 1;
-            solution = problem.attempts(data, guess.as_deref(), solution.factor, solution.report)?;
+            solution = problem.attempts(data, guess.as_deref(), solution.report)?;
             if !solution.converged {
                 break;
             }
@@ -269,17 +199,16 @@ impl FractureProblem<'_> {
         &self,
         data: &FractureData<'_>,
         guess: Option<&[f64]>,
-        factor: Option<Arc<FaceFactor>>,
         report: NewtonReport,
     ) -> Result<FractureSolution, SingularFracture> {
-        let mut solution = self.attempt(data, guess, factor, report)?;
+        let mut solution = self.attempt(data, guess, report)?;
         for larger in BETAS {
             if solution.converged {
                 break;
             }
             let faces: Vec<Face> = self.faces.iter().map(|face| face.with_larger_beta(larger)).collect();
             let problem = FractureProblem { faces: &faces, ..*self };
-            solution = problem.attempt(data, guess, solution.factor, solution.report)?;
+            solution = problem.attempt(data, guess, solution.report)?;
         }
         Ok(solution)
     }
@@ -289,12 +218,11 @@ impl FractureProblem<'_> {
         &self,
         data: &FractureData<'_>,
         guess: Option<&[f64]>,
-        factor: Option<Arc<FaceFactor>>,
         mut report: NewtonReport,
     ) -> Result<FractureSolution, SingularFracture> {
         let limit = report.iterations + self.settings.max_iterations;
         let most_cycles = report.cycles + CYCLES;
-        let mut workshop = Workshop { factor, ..Workshop::default() };
+        let mut inverse = None;
         let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
         (self.schur.add_product)(data.previous, &mut force);
         let mut at = self.iterate(data, vec![0.0; data.rhs.len()], force);
@@ -310,7 +238,7 @@ impl FractureProblem<'_> {
         while !converged && report.iterations < limit && report.cycles < most_cycles {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
-            let correction = self.solve_linear(&laws, &at.force, &mut workshop, &mut report);
+            let correction = self.solve_linear(&laws, &at.force, &mut inverse, &mut report);
             let correction = correction.ok_or_else(|| SingularFracture(at.states.clone()))?;
             let next = self.corrected(data, &at, &correction);
             change = max_abs(&correction);
@@ -331,25 +259,9 @@ impl FractureProblem<'_> {
                 at = self.sweep(data, at);
             }
         }
-        self.leave_factor(data, &at, &mut workshop, &mut report);
         let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
         let Iterate { lambda, states, violation, .. } = at;
-        Ok(FractureSolution { jump, lambda, states, factor: workshop.factor, report, converged, violation, change })
-    }
-
-    /// Leaves the next step a factor for the states it will start from, where the present one has a wide border.
-    fn leave_factor(&self, data: &FractureData<'_>, at: &Iterate, workshop: &mut Workshop, report: &mut NewtonReport) {
-        let laws = self.linearise(data, at);
-        let stale = workshop.factor.as_ref().is_none_or(|factor| {
-            let is_given = |laws: &[Linearised], k: usize| laws[k / self.dim].given[k % self.dim].is_some();
-            let components = 0..laws.len() * self.dim;
-            let border = components.filter(|&k| is_given(&laws, k) != is_given(&factor.laws, k)).count();
-            border * STALE > factor.unknowns.len()
-        });
-        if stale {
-            report.face_factorisations += 1;
-            workshop.factor = Some(Arc::new(self.face_factor(laws)));
-        }
+        Ok(FractureSolution { jump, lambda, states, report, converged, violation, change })
     }
 
     fn corrected(&self, data: &FractureData<'_>, at: &Iterate, correction: &[f64]) -> Iterate {
@@ -364,7 +276,7 @@ impl FractureProblem<'_> {
         &self,
         laws: &[Linearised],
         force: &[f64],
-        workshop: &mut Workshop,
+        inverse: &mut Option<Inverse<'a>>,
         report: &mut NewtonReport,
     ) -> Option<Vec<f64>> {
         let d = self.dim;
@@ -378,8 +290,13 @@ impl FractureProblem<'_> {
             return Some(correction);
         }
         let mut force = force.to_vec();
-        if correction.iter().any(|&c| c != 0.0) {
-            (self.schur.add_product)(&correction, &mut force);
+        // Most of what is given is round-off of what was given before.
+        let negligible = NEGLIGIBLE * max_abs(&force);
+        let force_of = |at: usize| correction[at] * self.faces[at / d].stiffness * self.faces[at / d].measure;
+        let given: Vec<f64> =
+            (0..force.len()).map(|at| if force_of(at).abs() > negligible { correction[at] } else { 0.0 }).collect();
+        if given.iter().any(|&g| g != 0.0) {
+            (self.schur.add_product)(&given, &mut force);
         }
         let mut b = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
@@ -389,38 +306,12 @@ impl FractureProblem<'_> {
                     -law.constant[c] - (0..d).map(|j| law.t[c][j] * own[j] + law.h[c][j] * known[j]).sum::<f64>();
             }
         }
-        let negligible = NEGLIGIBLE * max_abs(&force);
         let size = b.iter().map(|b| b * b).sum::<f64>().sqrt();
         let target = (FORCING * size).max(negligible);
-        let operator = |v: &[f64], out: &mut [f64]| self.apply_rows(laws, v, out);
-        let mut fresh = false;
-        loop {
-            let preconditioner = match self.preconditioner(workshop, laws) {
-                Some(preconditioner) => preconditioner,
-                None => {
-                    report.face_factorisations += 1;
-                    fresh = true;
-                    let factor = Some(Arc::new(self.face_factor(laws.to_vec())));
-                    *workshop = Workshop { factor, ..Workshop::default() };
-                    self.preconditioner(workshop, laws)?
-                }
-            };
-            let mut x = vec![0.0; b.len()];
-            let done = linear::gmres(&operator, &|v: &mut [f64]| preconditioner.apply(v), &b, &mut x, target, KRYLOV);
-            report.linear_iterations += done.iterations;
-            // Single precision limits what a fresh factor reaches; Newton's method only needs a reduction.
-            let solved = done.residual <= target || fresh && done.residual <= 0.5 * size;
-            if !fresh && (!solved || done.iterations > RENEW_ABOVE) {
-                *workshop = Workshop::default();
-            }
-            if solved {
-                correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
-                return Some(correction);
-            }
-            if fresh {
-                return None;
-            }
-        }
+        let problem = LinearisedProblem { dim: d, schur: self.schur, laws };
+        let x = problem.solve(&b, target, inverse, report)?;
+        correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
+        Some(correction)
     }
 
     /// The change of the jump for a change of the right-hand side (N) at a solution, at its contact states.
@@ -430,7 +321,6 @@ impl FractureProblem<'_> {
         jump: &[f64],
         lambda: &[f64],
         states: &[ContactState],
-        factor: Option<Arc<FaceFactor>>,
         change: &[f64],
     ) -> Result<Vec<f64>, SingularFracture> {
         let at = Iterate {
@@ -449,7 +339,7 @@ impl FractureProblem<'_> {
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
         // Each solve gains at least a factor of `FORCING`; what an exact derivative needs is well below finite differences.
         const REFINEMENTS: usize = 4;
-        let mut workshop = Workshop { factor, ..Workshop::default() };
+        let mut inverse = None;
         let mut total = vec![0.0; change.len()];
         for _ in 0..REFINEMENTS {
             let mut rest = force.clone();
@@ -458,104 +348,11 @@ impl FractureProblem<'_> {
                 let own = self.local(&total, i);
                 law.constant = std::array::from_fn(|c| (0..self.dim).map(|j| law.h[c][j] * own[j]).sum());
             }
-            let correction = self.solve_linear(&laws, &rest, &mut workshop, &mut NewtonReport::default());
+            let correction = self.solve_linear(&laws, &rest, &mut inverse, &mut NewtonReport::default());
             let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
         }
         Ok(total)
-    }
-
-    /// The rows of the linearised laws, T S v + H v, zero where the jump is given; v is zero there.
-    fn apply_rows(&self, laws: &[Linearised], v: &[f64], out: &mut [f64]) {
-        let d = self.dim;
-        let x = Mat::from_fn(v.len(), 1, |i, _| v[i] as f32);
-        // By the rows of the symmetric matrix, so that the cores share the reading of it.
-        const ROWS: usize = 256;
-        let mut y = Mat::<f32>::zeros(v.len(), 1);
-        let chunks = y.col_as_slice_mut(0).par_chunks_mut(ROWS).enumerate();
-        chunks.for_each(|(k, y)| {
-            let rows = self.schur.single.subcols(k * ROWS, y.len()).transpose();
-            let y = MatMut::from_column_major_slice_mut(y, rows.nrows(), 1);
-            faer::linalg::matmul::matmul(y, faer::Accum::Replace, rows, &x, 1.0, Par::Seq);
-        });
-        for (i, law) in laws.iter().enumerate() {
-            let at = i * d;
-            let own = self.local(v, i);
-            for c in 0..d {
-                out[at + c] = match law.given[c] {
-                    Some(_) => 0.0,
-                    None => (0..d).map(|j| law.t[c][j] * f64::from(y[(at + j, 0)]) + law.h[c][j] * own[j]).sum(),
-                };
-            }
-        }
-    }
-
-    /// The same rows as a matrix over some components; the rows of T reach the normal component and their own.
-    fn rows(&self, laws: &[Linearised], rows: &[usize], columns: &[usize]) -> Mat<f32> {
-        let d = self.dim;
-        let mut a = Mat::zeros(rows.len(), columns.len());
-        for (q, &column) in columns.iter().enumerate() {
-            let s = self.schur.single.col(column);
-            for (p, &row) in rows.iter().enumerate() {
-                let (i, c) = (row / d, row % d);
-                let law = &laws[i];
-                let mut v = law.t[c][c] * f64::from(s[row]);
-                if c > 0 && law.t[c][0] != 0.0 {
-                    v += law.t[c][0] * f64::from(s[i * d]);
-                }
-                if column / d == i {
-                    v += law.h[c][column % d];
-                }
-                a[(p, q)] = v as f32;
-            }
-        }
-        a
-    }
-
-    /// The dense factorisation for given laws, to be made on first use; the same laws give the same bits.
-    pub(crate) fn face_factor(&self, laws: Vec<Linearised>) -> FaceFactor {
-        FaceFactor { unknowns: unknowns(&laws, self.dim), laws, lu: OnceLock::new() }
-    }
-
-    /// The use of the present factor for given laws; `None` where there is none or renewing it is cheaper.
-    fn preconditioner(&self, workshop: &mut Workshop, laws: &[Linearised]) -> Option<Preconditioner> {
-        let d = self.dim;
-        let factor = Arc::clone(workshop.factor.as_ref()?);
-        let old = &factor.unknowns;
-        let is_known = |laws: &[Linearised], at: usize| laws[at / d].given[at % d].is_some();
-        let removed: Vec<usize> = (0..old.len()).filter(|&p| is_known(laws, old[p])).collect();
-        let added: Vec<usize> = unknowns(laws, d).into_iter().filter(|&at| is_known(&factor.laws, at)).collect();
-        let border = added.len() + removed.len();
-        if border * BORDER > old.len() {
-            return None;
-        }
-        let components: Vec<usize> = added.iter().copied().chain(removed.iter().map(|&p| old[p])).collect();
-        let missing: Vec<usize> = (0..border).filter(|&k| !workshop.columns.contains_key(&components[k])).collect();
-        let new: Vec<usize> = missing.iter().filter(|&&k| k < added.len()).map(|&k| components[k]).collect();
-        let mut solved = Mat::zeros(old.len(), missing.len());
-        solved.as_mut().subcols_mut(0, new.len()).copy_from(self.rows(&factor.laws, old, &new));
-        for q in new.len()..missing.len() {
-            solved[(removed[missing[q] - added.len()], q)] = 1.0;
-        }
-        let lu = factor.lu.get_or_init(|| self.rows(&factor.laws, old, old).partial_piv_lu());
-        solve_lu(lu, solved.as_mut());
-        for (q, &k) in missing.iter().enumerate() {
-            workshop.columns.insert(components[k], solved.col(q).iter().copied().collect());
-        }
-        let columns = Mat::from_fn(old.len(), border, |p, k| workshop.columns[&components[k]][p]);
-        let added_rows = self.rows(laws, &added, old);
-        let mut corner = Mat::zeros(border, border);
-        corner.as_mut().submatrix_mut(0, 0, added.len(), added.len()).copy_from(self.rows(laws, &added, &added));
-        let reached = &added_rows * &columns;
-        for q in 0..border {
-            for p in 0..added.len() {
-                corner[(p, q)] -= reached[(p, q)];
-            }
-            for (k, &p) in removed.iter().enumerate() {
-                corner[(added.len() + k, q)] -= columns[(p, q)];
-            }
-        }
-        Some(Preconditioner { factor, added, removed, added_rows, columns, corner: corner.partial_piv_lu() })
     }
 
     /// Nonlinear block Gauss–Seidel sweeps over the faces.
@@ -568,8 +365,8 @@ impl FractureProblem<'_> {
                 for c in 0..d {
                     if correction[c] != 0.0 {
                         increment[i * d + c] += correction[c];
-                        let column = self.schur.single.col(i * d + c);
-                        force.iter_mut().zip(column.iter()).for_each(|(f, s)| *f += correction[c] * f64::from(*s));
+                        let entry = |k: usize| f64::from(self.schur.single.get(k, i * d + c));
+                        force.iter_mut().enumerate().for_each(|(k, f)| *f += correction[c] * entry(k));
                     }
                 }
             }
@@ -583,15 +380,15 @@ impl FractureProblem<'_> {
         // A handful of states and a smooth curve of slip directions: more than enough.
         const LOCAL_ITERATIONS: usize = 30;
         let own = i * self.dim..(i + 1) * self.dim;
-        let single = self.schur.single.submatrix(own.start, own.start, self.dim, self.dim);
+        let single = DenseSymmetric::from_fn(self.dim, |i, j| self.schur.single.get(own.start + i, own.start + j));
         let add_product = |x: &[f64], y: &mut [f64]| {
             for (j, x) in x.iter().enumerate() {
-                y.iter_mut().enumerate().for_each(|(i, y)| *y += f64::from(single[(i, j)]) * x);
+                y.iter_mut().enumerate().for_each(|(i, y)| *y += f64::from(single.get(i, j)) * x);
             }
         };
         let one = FractureProblem {
             dim: self.dim,
-            schur: Schur { single, add_product: &add_product },
+            schur: Schur { single: &single, inverse: &|| None, add_product: &add_product },
             faces: &self.faces[i..=i],
             settings: self.settings,
         };
@@ -609,7 +406,7 @@ impl FractureProblem<'_> {
                 break;
             }
             let laws = one.linearise(&data, &at);
-            match one.solve_linear(&laws, &at.force, &mut Workshop::default(), &mut NewtonReport::default()) {
+            match one.solve_linear(&laws, &at.force, &mut None, &mut NewtonReport::default()) {
                 Some(correction) => at = one.corrected(&data, &at, &correction),
                 None => break,
             }
@@ -617,48 +414,6 @@ impl FractureProblem<'_> {
         let (old, new) = (self.local(increment, i), one.local(&at.increment, 0));
         std::array::from_fn(|c| new[c] - old[c])
     }
-}
-
-impl Preconditioner {
-    /// v ← M⁻¹ v, over all components; zero where the jump is given.
-    fn apply(&self, v: &mut [f64]) {
-        let old = &self.factor.unknowns;
-        let mut x = Mat::from_fn(old.len(), 1, |p, _| v[old[p]] as f32);
-        // The row of a component that has become known is free to take the multiplier that holds it.
-        self.removed.iter().for_each(|&p| x[(p, 0)] = 0.0);
-        // Made when the border was.
-        if let Some(lu) = self.factor.lu.get() {
-            solve_lu(lu, x.as_mut());
-        }
-        let n = self.added.len();
-        if n + self.removed.len() > 0 {
-            let reached = &self.added_rows * &x;
-            let mut z = Mat::from_fn(n + self.removed.len(), 1, |k, _| {
-                if k < n { v[self.added[k]] as f32 - reached[(k, 0)] } else { -x[(self.removed[k - n], 0)] }
-            });
-            solve_lu(&self.corner, z.as_mut());
-            x -= &self.columns * &z;
-            for (k, &at) in self.added.iter().enumerate() {
-                v[at] = f64::from(z[(k, 0)]);
-            }
-        }
-        for (p, &at) in old.iter().enumerate() {
-            v[at] = f64::from(x[(p, 0)]);
-        }
-        self.removed.iter().for_each(|&p| v[old[p]] = 0.0);
-    }
-}
-
-/// x ← A⁻¹ x. One right-hand side is bound by reading the factor, and threads only slow that down.
-fn solve_lu(lu: &PartialPivLu<f32>, x: MatMut<'_, f32>) {
-    let par = if x.ncols() > 1 { faer::get_global_parallelism() } else { Par::Seq };
-    let mut memory = MemBuffer::new(solve_in_place_scratch::<usize, f32>(x.nrows(), x.ncols(), par));
-    solve_in_place(lu.L(), lu.U(), lu.P(), x, par, MemStack::new(&mut memory));
-}
-
-/// The components of the jump that laws leave unknown.
-fn unknowns(laws: &[Linearised], d: usize) -> Vec<usize> {
-    (0..laws.len() * d).filter(|&at| laws[at / d].given[at % d].is_none()).collect()
 }
 
 /// The larger of two numbers, or NaN.

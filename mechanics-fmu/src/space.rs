@@ -80,7 +80,7 @@ pub struct CellOperators {
 }
 
 /// The unknowns that the functions of a cell depend on.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CellUnknowns {
     /// Entities, d unknowns each.
     pub entities: Vec<u32>,
@@ -99,8 +99,7 @@ impl Space {
         let mut basis = Vec::new();
         let mut jump_nodes = Lists::new();
         let mut jump_weights = Vec::new();
-        let mut plus = vec![Vec::new(); mesh.cell_count()];
-        let mut minus = vec![Vec::new(); mesh.cell_count()];
+        let (mut plus, mut minus) = (Vec::new(), Vec::new());
         for (i, &face) in network.faces.iter().enumerate() {
             let n = geometry.face_normal(face);
             let [t1, t2] = tangents(dim, n);
@@ -118,9 +117,9 @@ impl Space {
                 }
             }
             jump_nodes.push(list);
-            plus[first].push(i);
+            plus.push((first, i));
             if let (Some(second), true) = (second, two_sided) {
-                minus[second].push(i);
+                minus.push((second, i));
             }
         }
         Self {
@@ -131,8 +130,8 @@ impl Space {
             basis,
             jump_nodes,
             jump_weights,
-            plus: plus.into_iter().collect(),
-            minus: minus.into_iter().collect(),
+            plus: by_cell(mesh.cell_count(), plus),
+            minus: by_cell(mesh.cell_count(), minus),
         }
     }
 
@@ -209,12 +208,22 @@ impl Space {
 
     /// The unknowns that a cell's functions depend on.
     pub fn unknowns(&self, mesh: &Mesh, cell: usize) -> CellUnknowns {
+        let mut unknowns = CellUnknowns::default();
+        self.fill_unknowns(mesh, cell, &mut unknowns);
+        unknowns
+    }
+
+    /// As [`unknowns`](Self::unknowns), in the storage of an earlier cell.
+    pub(crate) fn fill_unknowns(&self, mesh: &Mesh, cell: usize, out: &mut CellUnknowns) {
         let own = mesh.nodes().of_cell(cell);
-        let mut entities: Vec<usize> = own.to_vec();
         let (plus, minus) = (self.plus.get(cell), self.minus.get(cell));
+        out.entities.clear();
+        out.entities.extend(own.iter().map(|&e| e as u32));
+        out.bubbles = None;
         if plus.is_empty() && minus.is_empty() {
-            return CellUnknowns { entities: entities.iter().map(|&e| e as u32).collect(), bubbles: None };
+            return;
         }
+        let mut entities: Vec<usize> = own.to_vec();
         let d = self.dim;
         // Terms of the bubbles: (function, entity, weight), or the jump with the basis as weight.
         let mut terms: Vec<(usize, usize, f64)> = Vec::new();
@@ -256,7 +265,8 @@ impl Space {
                 }
             }
         }
-        CellUnknowns { entities: entities.iter().map(|&e| e as u32).collect(), bubbles: Some(p) }
+        out.entities.extend(entities[own.len()..].iter().map(|&e| e as u32));
+        out.bubbles = Some(p);
     }
 
     /// The side of a fracture face on which a cell has a bubble of its own.
@@ -264,6 +274,14 @@ impl Space {
         let plus = self.plus.get(cell).iter().map(|&i| (i, Side::Plus));
         plus.chain(self.minus.get(cell).iter().map(|&i| (i, Side::Minus)))
     }
+}
+
+/// The second of each pair by the first, a cell.
+fn by_cell(cells: usize, mut pairs: Vec<(usize, usize)>) -> Lists {
+    pairs.sort_unstable();
+    let mut pairs = pairs.into_iter().peekable();
+    let own = |cell| std::iter::from_fn(|| pairs.next_if(|pair| pair.0 == cell)).map(|pair| pair.1).collect::<Vec<_>>();
+    (0..cells).map(own).collect()
 }
 
 impl CellOperators {

@@ -9,16 +9,17 @@
 //!
 //! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
 
-use std::sync::Arc;
+use std::ops::Range;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-use linear::{Cholesky, Csr, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
-use mesh::{Lists, Mesh, Vec3};
+use linear::{CellMatrices, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
+use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
-use crate::space::{CellOperators, Space};
+use crate::space::{CellOperators, CellUnknowns, Space};
 
 /// Cells that a thread works on before their matrices are added up; so many local matrices are in memory.
 const BATCH: usize = 2048;
@@ -71,10 +72,10 @@ pub(crate) struct System {
     pub(crate) divergence: Csr,
     /// Rows of A of the fixed unknowns: fixed × unknowns.
     pub(crate) fixed_rows: Csr,
-    stiffness: SparseSymmetric,
     pub(crate) cholesky: Cholesky,
     /// Schur complement on the jumps, in single precision.
-    pub(crate) schur: faer::Mat<f32>,
+    pub(crate) schur: DenseSymmetric,
+    inverse: OnceLock<Option<DenseSymmetric>>,
     pub(crate) factorisations: usize,
     pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
@@ -92,6 +93,7 @@ impl System {
         if !problems.is_empty() {
             return Err(MechanicsError::Model(problems));
         }
+        let held = floating_pieces(mesh, &space, &fixed, false).is_empty();
         let dim = space.dim();
         let data = mesh.data();
         let materials: Vec<_> = (data.cell_region.iter())
@@ -136,14 +138,11 @@ impl System {
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let (fixed_rows, divergence) =
             assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
-        let springs = if floating_pieces(mesh, &space, &fixed, false).is_empty() {
-            Vec::new()
-        } else {
-            spring_stiffness(mesh, &materials)
-        };
+        let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap();
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
+        drop(stiffness);
         let factorisation = lap();
         let schur = schur_without_springs(&cholesky, &springs)?;
         let condensation = lap();
@@ -165,9 +164,9 @@ impl System {
             free,
             divergence,
             fixed_rows,
-            stiffness,
             cholesky,
             schur,
+            inverse: OnceLock::new(),
             factorisations: 1,
             free_of_unknown,
             springs,
@@ -183,10 +182,17 @@ impl System {
         }
     }
 
+    /// The inverse of the Schur complement in single precision, made on first use; `None` with springs, where it may be
+    /// singular.
+    pub(crate) fn schur_inverse(&self) -> Option<&DenseSymmetric> {
+        let make = || self.cholesky.schur_inverse().ok().filter(|_| self.springs.is_empty());
+        self.inverse.get_or_init(make).as_ref()
+    }
+
     /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
     /// follows its porosity.
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
-        self.stiffness.set_zero();
+        let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
         let (fixed_rows, _) = assemble(
             mesh,
             &self.space,
@@ -194,12 +200,14 @@ impl System {
             &self.fixed,
             &self.free_of_unknown,
             Some(extra),
-            &mut self.stiffness,
+            &mut stiffness,
         )?;
         self.fixed_rows = fixed_rows;
-        add_springs(&self.space, &self.springs, &mut self.stiffness)?;
-        self.cholesky.refactorise(&self.stiffness)?;
+        add_springs(&self.space, &self.springs, &mut stiffness)?;
+        self.cholesky.refactorise(&stiffness)?;
+        drop(stiffness);
         self.schur = schur_without_springs(&self.cholesky, &self.springs)?;
+        self.inverse = OnceLock::new();
         self.factorisations += 1;
         Ok(())
     }
@@ -228,10 +236,10 @@ fn add_springs(space: &Space, springs: &[f64], stiffness: &mut SparseSymmetric) 
     Ok(())
 }
 
-fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<faer::Mat<f32>, MechanicsError> {
-    let mut schur = cholesky.schur_single()?;
+fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<DenseSymmetric, MechanicsError> {
+    let mut schur = cholesky.schur()?;
     for (i, k) in springs.iter().enumerate() {
-        schur[(i, i)] -= *k as f32;
+        schur.add_to_diagonal(i, -*k as f32);
     }
     Ok(schur)
 }
@@ -239,11 +247,10 @@ fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<faer::M
 /// What a run of cells adds to the system, one behind the other.
 #[derive(Default)]
 struct CellParts {
-    entities: Lists,
-    /// Over the free unknowns of the entities of each cell.
-    local: Vec<f64>,
-    /// div_K, as (unknown, value).
+    stiffness: CellMatrices,
+    /// div_K, as (unknown, value), and the end of each cell.
     divergence: Vec<(u32, f64)>,
+    divergence_ends: Vec<usize>,
     /// Entries in rows of fixed unknowns.
     fixed: Vec<(u32, u32, f64)>,
 }
@@ -260,60 +267,65 @@ fn assemble(
     let dim = space.dim();
     let mut row_of_fixed = vec![None; free_of_unknown.len()];
     fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
-    let cells: Vec<usize> = (0..mesh.cell_count()).collect();
-    let compute = |run: &[usize]| {
+    let compute = |run: Range<usize>| {
         let mut parts = CellParts::default();
-        let (mut operators, mut full) = (CellOperators::default(), Vec::new());
-        for &cell in run {
+        let (mut operators, mut unknowns) = (CellOperators::default(), CellUnknowns::default());
+        let (mut full, mut numbers) = (Vec::new(), Vec::new());
+        for cell in run {
             space.fill_operators(mesh, cell, &mut operators);
-            let unknowns = space.unknowns(mesh, cell);
+            space.fill_unknowns(mesh, cell, &mut unknowns);
             let m = materials[cell];
             operators.fill_stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]), &mut full);
             let full = unknowns.reduce_matrix(&full);
-            let divergence = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim)).collect();
-            let divergence = unknowns.reduce_vector(divergence);
-            let numbers: Vec<u32> =
-                unknowns.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)).collect();
-            if numbers.iter().all(|&u| row_of_fixed[u as usize].is_none()) {
-                parts.local.extend_from_slice(&full);
+            numbers.clear();
+            numbers.extend(unknowns.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)));
+            let blocks = unknowns.entities.iter().copied();
+            let is_fixed = |u: &u32| row_of_fixed[*u as usize].is_some();
+            if !numbers.iter().any(is_fixed) {
+                parts.stiffness.push(blocks, full.iter().copied());
             } else {
                 for (&u, values) in numbers.iter().zip(full.chunks_exact(numbers.len())) {
-                    let pairs = numbers.iter().zip(values);
                     if let Some(row) = row_of_fixed[u as usize] {
-                        parts.fixed.extend(pairs.map(|(&column, &v)| (row, column, v)));
-                    } else {
-                        let free = pairs.filter(|(column, _)| free_of_unknown[**column as usize].is_some());
-                        parts.local.extend(free.map(|(_, v)| v));
+                        parts.fixed.extend(numbers.iter().zip(values).map(|(&column, &v)| (row, column, v)));
                     }
                 }
+                let free: Vec<usize> = (0..numbers.len()).filter(|&k| !is_fixed(&numbers[k])).collect();
+                let entry = |(i, j): (usize, usize)| full[i * numbers.len() + j];
+                parts.stiffness.push(blocks, free.iter().flat_map(|&i| free.iter().map(move |&j| entry((i, j)))));
             }
-            parts.divergence.extend(numbers.into_iter().zip(divergence));
-            parts.entities.push(unknowns.entities.iter().map(|&e| e as usize));
+            let own = parts.divergence.len();
+            let components = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim));
+            if unknowns.bubbles.is_none() {
+                parts.divergence.extend(numbers.iter().copied().zip(components));
+            } else {
+                let reduced = unknowns.reduce_vector(components.collect());
+                parts.divergence.extend(numbers.iter().copied().zip(reduced));
+            }
+            parts.divergence[own..].sort_unstable_by_key(|&(column, _)| column);
+            parts.divergence_ends.push(parts.divergence.len());
         }
         parts
     };
     let mut fixed_triplets = Vec::new();
-    let mut divergence = Vec::with_capacity(mesh.cell_count());
-    let pattern = Arc::clone(stiffness.pattern());
-    for batch in cells.chunks(BATCH * rayon::current_num_threads()) {
-        let parts: Vec<CellParts> = batch.par_chunks(BATCH).map(compute).collect();
+    let mut divergence = Csr::empty(free_of_unknown.len())?;
+    let runs: Vec<Range<usize>> =
+        (0..mesh.cell_count().div_ceil(BATCH)).map(|k| k * BATCH..mesh.cell_count().min((k + 1) * BATCH)).collect();
+    for runs in runs.chunks(rayon::current_num_threads()) {
+        let parts: Vec<CellParts> = runs.par_iter().cloned().map(compute).collect();
+        let mut matrices = Vec::with_capacity(parts.len());
         for mut part in parts {
-            let (mut local, mut div) = (&part.local[..], &part.divergence[..]);
-            for entities in part.entities.iter() {
-                let blocks: Vec<u32> = entities.iter().map(|&e| e as u32).collect();
-                let width: usize = blocks.iter().map(|&b| pattern.unknowns(b as usize).len()).sum();
-                let (own, rest) = local.split_at(width * width);
-                stiffness.add(&blocks, own)?;
-                local = rest;
-                let (own, rest) = div.split_at(dim * entities.len());
-                divergence.push(own.to_vec());
-                div = rest;
+            let mut start = 0;
+            for end in part.divergence_ends {
+                divergence.push_row(part.divergence[start..end].iter().copied())?;
+                start = end;
             }
             fixed_triplets.append(&mut part.fixed);
+            matrices.push(part.stiffness);
         }
+        stiffness.add_cells(&matrices)?;
     }
-    let n = free_of_unknown.len();
-    Ok((Csr::from_triplets(fixed.len(), n, &fixed_triplets)?, Csr::from_rows(n, divergence)?))
+    divergence.shrink();
+    Ok((Csr::from_triplets(fixed.len(), free_of_unknown.len(), &fixed_triplets)?, divergence))
 }
 
 /// The prescribed unknowns, ascending.

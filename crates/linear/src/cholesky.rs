@@ -4,16 +4,16 @@ use std::sync::Arc;
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
-use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::sparse::linalg::SymbolicSupernodalParams;
 use faer::sparse::linalg::cholesky::{simplicial, supernodal};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Accum, Mat, MatMut, Par};
+use faer::{MatMut, Par};
 
 use crate::error::{Error, check_len};
 use crate::ordering::Ordering;
 use crate::panels::{Panels, Work};
 use crate::pattern::{Pattern, SparseSymmetric};
+use crate::tiles::DenseSymmetric;
 
 /// Largest scaled residual ‖Ax − b‖ / (‖A‖ ‖x‖ + ‖b‖), in maximum norms, of the test solve after a
 /// factorisation. Cholesky is backward stable, so a sound factor leaves some 1e-16 to 1e-15
@@ -28,7 +28,7 @@ pub struct Memory {
     pub factor_entries: usize,
     /// Bytes of the factor's values.
     pub factor_bytes: usize,
-    /// Bytes of everything: values, index structure, reordered matrix, work space.
+    /// Bytes of everything that is kept: values and index structure.
     pub total_bytes: usize,
 }
 
@@ -58,24 +58,28 @@ impl Symbolic {
         for (k, &unknown) in ordering.unknown.iter().enumerate() {
             position[unknown as usize] = k as u32;
         }
-        let (given_ptr, given_row) = pattern.lower();
-        let mut columns = vec![0u32; given_row.len()];
-        let mut rows = vec![0u32; given_row.len()];
-        for j in 0..n {
-            for k in given_ptr[j] as usize..given_ptr[j + 1] as usize {
-                let (p, q) = (position[j], position[given_row[k] as usize]);
-                columns[k] = p.min(q);
-                rows[k] = p.max(q);
-            }
-        }
         // Sorting by rows, then stably by columns, gives the lower triangle by columns with
         // ascending rows; the other way round gives the upper triangle.
-        let entries: Vec<u32> = (0..rows.len() as u32).collect();
-        let (_, by_rows) = bucket_sort(n, &rows, &entries);
-        let (col_ptr, source) = bucket_sort(n, &columns, &by_rows);
-        let row_idx: Vec<u32> = source.iter().map(|&k| rows[k as usize]).collect();
-        let (upper_ptr, upper_source) = bucket_sort(n, &rows, &source);
-        let upper_row: Vec<u32> = (upper_source.iter()).map(|&k| columns[k as usize]).collect();
+        let (col_ptr, row_idx, source, upper_ptr, upper_row);
+        {
+            let (given_ptr, given_row) = pattern.lower();
+            let mut columns = vec![0u32; given_row.len()];
+            let mut rows = vec![0u32; given_row.len()];
+            for j in 0..n {
+                for k in given_ptr[j] as usize..given_ptr[j + 1] as usize {
+                    let (p, q) = (position[j], position[given_row[k] as usize]);
+                    columns[k] = p.min(q);
+                    rows[k] = p.max(q);
+                }
+            }
+            let (_, by_rows) = bucket_sort(n, &rows, 0..rows.len() as u32);
+            (col_ptr, source) = bucket_sort(n, &columns, by_rows);
+            row_idx = source.iter().map(|&k| rows[k as usize]).collect::<Vec<u32>>();
+            let (ptr, mut upper) = bucket_sort(n, &rows, source.iter().copied());
+            upper.iter_mut().for_each(|k| *k = columns[*k as usize]);
+            (upper_ptr, upper_row) = (ptr, upper);
+        }
+        drop(position);
 
         let upper = SymbolicSparseColMatRef::new_checked(n, n, &upper_ptr, None, &upper_row);
         let scratch = StackReq::any_of(&[
@@ -118,14 +122,18 @@ impl Symbolic {
         &self.pattern
     }
 
+    fn factorisation_scratch(&self, par: Par) -> StackReq {
+        supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(&self.supernodes, par, Default::default())
+    }
+
     /// Stored entries of a factor. See [`Memory::factor_entries`].
     pub fn factor_entries(&self) -> usize {
         self.supernodes.len_val()
     }
 }
 
-/// Sorts `items` stably by `key[item] < n`: the start of each key's run, and the items.
-fn bucket_sort(n: usize, key: &[u32], items: &[u32]) -> (Vec<u32>, Vec<u32>) {
+/// Sorts `items`, a permutation, stably by `key[item] < n`: the start of each key's run, and the items.
+fn bucket_sort(n: usize, key: &[u32], items: impl IntoIterator<Item = u32>) -> (Vec<u32>, Vec<u32>) {
     let mut ptr = vec![0u32; n + 1];
     for &k in key {
         ptr[k as usize + 1] += 1;
@@ -134,8 +142,8 @@ fn bucket_sort(n: usize, key: &[u32], items: &[u32]) -> (Vec<u32>, Vec<u32>) {
         ptr[k + 1] += ptr[k];
     }
     let mut next = ptr.clone();
-    let mut sorted = vec![0; items.len()];
-    for &item in items {
+    let mut sorted = vec![0; key.len()];
+    for item in items {
         let place = &mut next[key[item as usize] as usize];
         sorted[*place as usize] = item;
         *place += 1;
@@ -174,11 +182,6 @@ impl Forward {
 pub struct Cholesky {
     symbolic: Arc<Symbolic>,
     factor: Vec<f64>,
-    permuted: Vec<f64>,
-    memory: MemBuffer,
-    memory_bytes: usize,
-    /// Of the test solve.
-    scratch: Scratch,
     par: Par,
     valid: bool,
 }
@@ -205,24 +208,8 @@ impl Cholesky {
     /// [`Error::PatternMismatch`], [`Error::NonFinite`], [`Error::NotPositiveDefinite`],
     /// [`Error::Inaccurate`], [`Error::OutOfMemory`].
     pub fn new(symbolic: &Arc<Symbolic>, a: &SparseSymmetric, par: Par) -> Result<Self, Error> {
-        // Any factorisation may be done, or repeated, without threads.
-        let scratch = StackReq::any_of(&[Par::Seq, par].map(|par| {
-            supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
-                &symbolic.supernodes,
-                par,
-                Default::default(),
-            )
-        }));
-        let mut result = Self {
-            factor: vec![0.0; symbolic.factor_entries()],
-            permuted: vec![0.0; symbolic.source.len()],
-            memory: MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?,
-            memory_bytes: scratch.unaligned_bytes_required(),
-            symbolic: Arc::clone(symbolic),
-            scratch: Scratch::default(),
-            par,
-            valid: false,
-        };
+        let mut result =
+            Self { factor: vec![0.0; symbolic.factor_entries()], symbolic: Arc::clone(symbolic), par, valid: false };
         result.refactorise(a)?;
         Ok(result)
     }
@@ -237,17 +224,13 @@ impl Cholesky {
             return Err(Error::PatternMismatch);
         }
         a.check_finite()?;
-        let values = a.values();
-        for (p, &k) in self.permuted.iter_mut().zip(&self.symbolic.source) {
-            *p = values[k as usize];
-        }
         let par = self.symbolic.panels.factor_par(self.par);
-        self.factorise(par)?;
+        self.factorise(a, par)?;
         let mut residual = self.test_residual(a);
         // NaN is not accurate either.
         let accurate = |residual: f64| residual <= MAX_RESIDUAL;
         if !accurate(residual) && par.degree() > 1 {
-            self.factorise(Par::Seq)?;
+            self.factorise(a, Par::Seq)?;
             residual = self.test_residual(a);
         }
         if !accurate(residual) {
@@ -257,17 +240,20 @@ impl Cholesky {
         Ok(())
     }
 
-    fn factorise(&mut self, par: Par) -> Result<(), Error> {
+    fn factorise(&mut self, a: &SparseSymmetric, par: Par) -> Result<(), Error> {
         let symbolic = &*self.symbolic;
         let n = symbolic.len();
+        let permuted: Vec<f64> = symbolic.source.iter().map(|&k| a.values()[k as usize]).collect();
+        let scratch = symbolic.factorisation_scratch(par);
+        let mut memory = MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?;
         let lower = SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
         supernodal::factorize_supernodal_numeric_llt(
             &mut self.factor,
-            SparseColMatRef::new(lower, &self.permuted),
+            SparseColMatRef::new(lower, &permuted),
             LltRegularization::default(),
             &symbolic.supernodes,
             par,
-            MemStack::new(&mut self.memory),
+            MemStack::new(&mut memory),
             Default::default(),
         )
         .map(|_| ())
@@ -277,7 +263,7 @@ impl Cholesky {
     }
 
     /// The scaled residual of a solve with a fixed right-hand side.
-    fn test_residual(&mut self, a: &SparseSymmetric) -> f64 {
+    fn test_residual(&self, a: &SparseSymmetric) -> f64 {
         let n = self.len();
         let mut state = 1u64;
         let b: Vec<f64> = (0..n)
@@ -288,9 +274,7 @@ impl Cholesky {
             })
             .collect();
         let mut x = b.clone();
-        let mut scratch = std::mem::take(&mut self.scratch);
-        self.solve_valid(&mut x, &mut scratch);
-        self.scratch = scratch;
+        self.solve_valid(&mut x, &mut Scratch::default());
         let mut r = vec![0.0; n];
         if a.mul(&x, &mut r).is_err() {
             return f64::NAN;
@@ -329,11 +313,7 @@ impl Cholesky {
         Memory {
             factor_entries: self.factor.len(),
             factor_bytes,
-            total_bytes: factor_bytes
-                + size_of_val(&self.permuted[..])
-                + self.memory_bytes
-                + indices * size_of::<u32>()
-                + s.panels.bytes(),
+            total_bytes: factor_bytes + indices * size_of::<u32>() + s.panels.bytes(),
         }
     }
 
@@ -425,21 +405,33 @@ impl Cholesky {
         Ok(())
     }
 
-    /// The Schur complement S = A_gg − A_gu A_uu⁻¹ A_ug, m × m, both triangles, in the order of the trailing list. Costs
-    /// about m³ operations and 2 m² numbers.
+    /// The Schur complement S = A_gg − A_gu A_uu⁻¹ A_ug in single precision, m × m, in the order of the trailing list.
+    /// Costs about m³/3 multiplications and m²/2 numbers.
     ///
     /// # Errors
     /// [`Error::NotFactorised`].
-    pub fn schur(&self) -> Result<Mat<f64>, Error> {
-        self.schur_as(|v| v)
+    pub fn schur(&self) -> Result<DenseSymmetric, Error> {
+        let mut schur = self.trailing_factor()?;
+        schur.square();
+        Ok(schur)
     }
 
-    /// As [`schur`](Self::schur), in single precision throughout.
+    /// S⁻¹, the trailing block of A⁻¹, in single precision, as [`schur`](Self::schur). Costs about 2 m³/3
+    /// multiplications.
     ///
     /// # Errors
     /// [`Error::NotFactorised`].
-    pub fn schur_single(&self) -> Result<Mat<f32>, Error> {
-        self.schur_as(|v| v as f32)
+    pub fn schur_inverse(&self) -> Result<DenseSymmetric, Error> {
+        let mut inverse = self.trailing_factor()?;
+        inverse.invert();
+        Ok(inverse)
+    }
+
+    fn trailing_factor(&self) -> Result<DenseSymmetric, Error> {
+        self.check(self.len())?;
+        let mut lower = DenseSymmetric::identity_border(self.symbolic.ordering.trailing());
+        self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
+        Ok(lower)
     }
 
     /// y += S x in double precision, with the Schur complement S as the factor holds it: reads m²/2 numbers.
@@ -453,37 +445,6 @@ impl Cholesky {
         check_len("product", m, y.len())?;
         self.symbolic.panels.trailing_product(&self.factor, x, y);
         Ok(())
-    }
-
-    fn schur_as<T: faer::traits::RealField>(&self, convert: impl Fn(f64) -> T) -> Result<Mat<T>, Error> {
-        self.check(self.len())?;
-        let m = self.symbolic.ordering.trailing();
-        let mut lower = Mat::zeros(m, m);
-        self.symbolic.panels.trailing_factor(&self.factor, lower.as_mut(), &convert);
-        let mut schur = Mat::zeros(m, m);
-        triangular::matmul(
-            schur.as_mut(),
-            BlockStructure::TriangularLower,
-            Accum::Replace,
-            lower.as_ref(),
-            BlockStructure::TriangularLower,
-            lower.transpose(),
-            BlockStructure::TriangularUpper,
-            convert(1.0),
-            self.par,
-        );
-        // By tiles, so that rows and columns stay in the cache.
-        const TILE: usize = 32;
-        for first in (0..m).step_by(TILE) {
-            for j in (first..m).step_by(TILE) {
-                for column in first..m.min(first + TILE) {
-                    for row in j.max(column + 1)..m.min(j + TILE) {
-                        schur[(column, row)] = schur[(row, column)].clone();
-                    }
-                }
-            }
-        }
-        Ok(schur)
     }
 
     fn check(&self, len: usize) -> Result<(), Error> {

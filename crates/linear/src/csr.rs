@@ -6,7 +6,7 @@ use crate::error::{Error, check_index, check_len, index};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Csr {
     cols: usize,
-    row_ptr: Vec<usize>,
+    row_ptr: Vec<u32>,
     col_idx: Vec<u32>,
     values: Vec<f64>,
 }
@@ -36,30 +36,58 @@ impl Csr {
     where
         R: IntoIterator<Item = (u32, f64)>,
     {
+        let mut csr = Self::empty(cols)?;
+        rows.into_iter().try_for_each(|row| csr.push_row(row))?;
+        csr.shrink();
+        Ok(csr)
+    }
+
+    /// A matrix with `cols` columns and no rows yet.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`].
+    pub fn empty(cols: usize) -> Result<Self, Error> {
         index(cols)?;
-        let mut csr = Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() };
-        let mut row = Vec::new();
-        for (i, entries) in rows.into_iter().enumerate() {
-            row.clear();
-            row.extend(entries);
+        Ok(Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() })
+    }
+
+    /// Appends a row, as in [`Csr::from_rows`]; the quicker if its columns ascend.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`]. The matrix must then not be used.
+    pub fn push_row(&mut self, entries: impl IntoIterator<Item = (u32, f64)>) -> Result<(), Error> {
+        let start = self.col_idx.len();
+        for (j, v) in entries {
+            check_index("column", j as usize, self.cols)?;
+            if !v.is_finite() {
+                return Err(Error::NonFinite { row: self.rows(), column: j as usize });
+            }
+            self.col_idx.push(j);
+            self.values.push(v);
+        }
+        if !self.col_idx[start..].is_sorted_by(|a, b| a < b) {
+            let columns = self.col_idx.drain(start..);
+            let mut row: Vec<(u32, f64)> = columns.zip(self.values.drain(start..)).collect();
             row.sort_by_key(|&(j, _)| j);
-            let start = csr.col_idx.len();
-            for &(j, v) in &row {
-                check_index("column", j as usize, cols)?;
-                if !v.is_finite() {
-                    return Err(Error::NonFinite { row: i, column: j as usize });
-                }
-                if csr.col_idx.len() > start && csr.col_idx.last() == Some(&j) {
-                    csr.values.last_mut().into_iter().for_each(|sum| *sum += v);
+            for (j, v) in row {
+                if self.col_idx.len() > start && self.col_idx.last() == Some(&j) {
+                    self.values.last_mut().into_iter().for_each(|sum| *sum += v);
                 } else {
-                    csr.col_idx.push(j);
-                    csr.values.push(v);
+                    self.col_idx.push(j);
+                    self.values.push(v);
                 }
             }
-            csr.row_ptr.push(csr.col_idx.len());
         }
-        index(csr.row_ptr.len() - 1)?;
-        Ok(csr)
+        index(self.row_ptr.len())?;
+        self.row_ptr.push(index(self.col_idx.len())?);
+        Ok(())
+    }
+
+    /// Gives back the memory that further rows would take.
+    pub fn shrink(&mut self) {
+        self.row_ptr.shrink_to_fit();
+        self.col_idx.shrink_to_fit();
+        self.values.shrink_to_fit();
     }
 
     /// Number of rows.
@@ -82,7 +110,7 @@ impl Csr {
     /// # Panics
     /// If there is no such row.
     pub fn row(&self, i: usize) -> (&[u32], &[f64]) {
-        let range = self.row_ptr[i]..self.row_ptr[i + 1];
+        let range = self.row_ptr[i] as usize..self.row_ptr[i + 1] as usize;
         (&self.col_idx[range.clone()], &self.values[range])
     }
 

@@ -29,6 +29,7 @@ mod gmres;
 mod ordering;
 mod panels;
 mod pattern;
+mod tiles;
 
 pub use cholesky::{Cholesky, Forward, MAX_RESIDUAL, Memory, Scratch, Symbolic};
 pub use csr::Csr;
@@ -36,4 +37,5 @@ pub use error::Error;
 pub use faer::{Mat, MatMut, MatRef, Par};
 pub use gmres::{Krylov, gmres};
 pub use ordering::{Method, Ordering};
-pub use pattern::{Pattern, SparseSymmetric};
+pub use pattern::{CellMatrices, Pattern, SparseSymmetric};
+pub use tiles::DenseSymmetric;

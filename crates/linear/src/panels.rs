@@ -13,6 +13,9 @@ use faer::linalg::{matmul, triangular_solve};
 use faer::prelude::{Reborrow, ReborrowMut};
 use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
 use faer::{Accum, MatMut, MatRef, Par};
+use rayon::prelude::*;
+
+use crate::tiles::DenseSymmetric;
 
 /// Multiplications per update of one panel by another from which faer's parallel kernels pay:
 /// on two cores they doubled the time of plane grids (1e4 to 5e4), broke even at 1e6, and saved a
@@ -418,27 +421,45 @@ impl Panels {
         }
     }
 
-    /// The factor of the trailing unknowns: `lower` (zero on entry) receives L22, each entry by `convert`.
-    pub(crate) fn trailing_factor<T>(&self, factor: &[f64], mut lower: MatMut<'_, T>, convert: impl Fn(f64) -> T) {
-        let split = self.len - lower.nrows();
+    /// Writes the factor of the trailing unknowns, L22, to a lower triangle that is zero on entry.
+    pub(crate) fn trailing_factor(&self, factor: &[f64], lower: &mut DenseSymmetric) {
+        let split = self.len - lower.len();
         for (column, top, below, rows) in self.trailing_columns(factor, split) {
             for (i, &v) in top.iter().enumerate() {
-                lower[(column + i, column)] = convert(v);
+                lower.set(column + i, column, v as f32);
             }
             for (&row, &v) in rows.iter().zip(below) {
-                lower[(row as usize - split, column)] = convert(v);
+                lower.set(row as usize - split, column, v as f32);
             }
         }
     }
 
-    /// y += L22 L22ᵀ x, reading the factor once.
+    /// y += L22 L22ᵀ x, reading the factor once. Threads share the columns, in parts that the factor alone decides.
     pub(crate) fn trailing_product(&self, factor: &[f64], x: &[f64], y: &mut [f64]) {
-        let split = self.len - x.len();
-        for (column, top, below, rows) in self.trailing_columns(factor, split) {
-            let mut t = dot(top, &x[column..]);
-            t += rows.iter().zip(below).map(|(&row, v)| v * x[row as usize - split]).sum::<f64>();
-            y[column..].iter_mut().zip(top).for_each(|(y, v)| *y += t * v);
-            rows.iter().zip(below).for_each(|(&row, v)| y[row as usize - split] += t * v);
+        const PARTS: usize = 8;
+        let m = x.len();
+        let split = self.len - m;
+        let parts = if m * m / 2 > PARALLEL_ENTRIES { PARTS } else { 1 };
+        // Of about equal area.
+        let cut = |p: usize| (m as f64 * (1.0 - (1.0 - p as f64 / parts as f64).sqrt())).round() as usize;
+        let sums: Vec<Vec<f64>> = (0..parts)
+            .into_par_iter()
+            .map(|p| {
+                let mut sum = vec![0.0; m];
+                let columns = self.trailing_columns(factor, split).take(cut(p + 1)).skip(cut(p));
+                pulp::Arch::new().dispatch(|| {
+                    for (column, top, below, rows) in columns {
+                        let mut t = dot(top, &x[column..]);
+                        t += rows.iter().zip(below).map(|(&row, v)| v * x[row as usize - split]).sum::<f64>();
+                        sum[column..].iter_mut().zip(top).for_each(|(y, v)| *y += t * v);
+                        rows.iter().zip(below).for_each(|(&row, v)| sum[row as usize - split] += t * v);
+                    }
+                });
+                sum
+            })
+            .collect();
+        for sum in sums {
+            y.iter_mut().zip(sum).for_each(|(y, s)| *y += s);
         }
     }
 
@@ -459,6 +480,7 @@ impl Panels {
 }
 
 /// Σ a_i b_i over the length of `a`, in eight sums that the compiler keeps in registers.
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (pairs, rest) = (a.chunks_exact(8).zip(b.chunks_exact(8)), a.len() / 8 * 8);

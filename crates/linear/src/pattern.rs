@@ -6,6 +6,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use crate::error::{Error, check_index, check_len, index};
 
 /// Which unknowns of a symmetric matrix are coupled.
@@ -168,9 +170,81 @@ impl Pattern {
         (&self.col_ptr, &self.row_idx)
     }
 
+    /// Adds the contribution of a cell to the columns of some consecutive blocks, whose entries are `values`.
+    fn scatter(
+        &self,
+        columns: std::ops::Range<usize>,
+        values: &mut [f64],
+        blocks: &[u32],
+        local: &[f64],
+    ) -> Result<(), Error> {
+        let mut width = 0;
+        for &block in blocks {
+            check_index("block", block as usize, self.blocks())?;
+            width += self.unknowns(block as usize).len();
+        }
+        check_len("local matrix", width * width, local.len())?;
+        let first = self.col_ptr[self.block_start[columns.start] as usize] as usize;
+        let mut at_column = 0;
+        for &b in blocks {
+            let own = self.unknowns(b as usize);
+            if !columns.contains(&(b as usize)) {
+                at_column += own.len();
+                continue;
+            }
+            let begin = self.block_ptr[b as usize];
+            let list = self.rows_of_block(b as usize);
+            let mut at_row = 0;
+            for &a in blocks {
+                let rows = self.unknowns(a as usize);
+                if a >= b {
+                    let place = list
+                        .binary_search(&a)
+                        .map_err(|_| Error::NotInPattern { row: a as usize, column: b as usize })?;
+                    let offset = self.offset[begin + place] as usize;
+                    for c in 0..own.len() {
+                        // Within the diagonal block, column c starts at its own row.
+                        let skip = if a == b { c } else { 0 };
+                        let start = self.col_ptr[own.start + c] as usize + offset + skip - c - first;
+                        let values = &mut values[start..start + rows.len() - skip];
+                        for (r, value) in (skip..).zip(values) {
+                            *value += local[(at_row + r) * width + at_column + c];
+                        }
+                    }
+                }
+                at_row += rows.len();
+            }
+            at_column += own.len();
+        }
+        Ok(())
+    }
+
     /// The block neighbours ≥ `b`, `b` first.
     pub(crate) fn rows_of_block(&self, b: usize) -> &[u32] {
         &self.block_row[self.block_ptr[b]..self.block_ptr[b + 1]]
+    }
+}
+
+/// Dense symmetric contributions of cells, one behind the other.
+#[derive(Clone, Debug, Default)]
+pub struct CellMatrices {
+    blocks: Vec<u32>,
+    values: Vec<f64>,
+    /// Ends of each cell's blocks and values.
+    ends: Vec<(usize, usize)>,
+}
+
+impl CellMatrices {
+    /// Appends a cell, as [`SparseSymmetric::add`] takes it.
+    pub fn push(&mut self, blocks: impl IntoIterator<Item = u32>, local: impl IntoIterator<Item = f64>) {
+        self.blocks.extend(blocks);
+        self.values.extend(local);
+        self.ends.push((self.blocks.len(), self.values.len()));
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (&[u32], &[f64])> {
+        let starts = std::iter::once(&(0, 0)).chain(&self.ends);
+        starts.zip(&self.ends).map(|(a, b)| (&self.blocks[a.0..b.0], &self.values[a.1..b.1]))
     }
 }
 
@@ -228,41 +302,43 @@ impl SparseSymmetric {
     /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks
     /// of the same call may then have been added.
     pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
-        let p = &*self.pattern;
-        let mut width = 0;
-        for &block in blocks {
-            check_index("block", block as usize, p.blocks())?;
-            width += p.unknowns(block as usize).len();
-        }
-        check_len("local matrix", width * width, local.len())?;
-        let mut at_column = 0;
-        for &b in blocks {
-            let columns = p.unknowns(b as usize);
-            let begin = p.block_ptr[b as usize];
-            let list = p.rows_of_block(b as usize);
-            let mut at_row = 0;
-            for &a in blocks {
-                let rows = p.unknowns(a as usize);
-                if a >= b {
-                    let place = list
-                        .binary_search(&a)
-                        .map_err(|_| Error::NotInPattern { row: a as usize, column: b as usize })?;
-                    let offset = p.offset[begin + place] as usize;
-                    for c in 0..columns.len() {
-                        // Within the diagonal block, column c starts at its own row.
-                        let skip = if a == b { c } else { 0 };
-                        let start = p.col_ptr[columns.start + c] as usize + offset + skip - c;
-                        let values = &mut self.values[start..start + rows.len() - skip];
-                        for (r, value) in (skip..).zip(values) {
-                            *value += local[(at_row + r) * width + at_column + c];
-                        }
-                    }
-                }
-                at_row += rows.len();
+        self.pattern.scatter(0..self.pattern.blocks(), &mut self.values, blocks, local)
+    }
+
+    /// Adds the contributions of many cells, in the order given, as [`SparseSymmetric::add`] does one by one. Threads share
+    /// the columns, so the sums do not depend on their number.
+    ///
+    /// # Errors
+    /// Those of [`SparseSymmetric::add`]; some of the contributions may then have been added.
+    pub fn add_cells(&mut self, parts: &[CellMatrices]) -> Result<(), Error> {
+        let pattern = &*self.pattern;
+        let shares = rayon::current_num_threads();
+        let mut pieces = Vec::with_capacity(shares);
+        let mut rest = &mut self.values[..];
+        let (mut first, mut begin) = (0, 0);
+        for share in 1..=shares {
+            let entry = (pattern.entries() * share / shares) as u32;
+            let start = |b: usize| pattern.col_ptr[pattern.block_start[b] as usize];
+            let mut end = first;
+            while end < pattern.blocks() && start(end) < entry {
+                end += 1;
             }
-            at_column += columns.len();
+            // Blocks without unknowns at the end belong to the last share.
+            if share == shares {
+                end = pattern.blocks();
+            }
+            let until = start(end) as usize;
+            let (own, after) = std::mem::take(&mut rest).split_at_mut(until - begin);
+            pieces.push((first..end, own));
+            (rest, first, begin) = (after, end, until);
         }
-        Ok(())
+        (pieces.into_par_iter())
+            .map(|(columns, values)| {
+                parts.iter().try_for_each(|part| {
+                    part.iter().try_for_each(|(blocks, local)| pattern.scatter(columns.clone(), values, blocks, local))
+                })
+            })
+            .collect()
     }
 
     /// y ← A x, both of length `len()`.

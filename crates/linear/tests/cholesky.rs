@@ -82,11 +82,21 @@ fn check(sparse: &SparseSymmetric, dense: &Mat<f64>, trailing: &[u32], method: M
     }
 
     let schur = cholesky.schur().unwrap();
+    let inverse = cholesky.schur_inverse().unwrap();
     let expected = &gg - ug.transpose() * dense_solve(&uu, &ug);
-    assert_eq!(schur.nrows(), trailing.len());
-    for j in 0..schur.ncols() {
-        let found: Vec<f64> = schur.col(j).iter().copied().collect();
-        assert_close(&found, &expected.subcols(j, 1).to_owned(), "schur");
+    let m = trailing.len();
+    assert_eq!((schur.len(), inverse.len()), (m, m));
+    for j in 0..m {
+        let unit: Vec<f64> = (0..m).map(|i| f64::from(u8::from(i == j))).collect();
+        let mut found = vec![0.0; m];
+        cholesky.add_schur_product(&unit, &mut found).unwrap();
+        assert_close(&found, &expected.subcols(j, 1).to_owned(), "schur product");
+        // In single precision.
+        let column: Vec<f32> = (0..m).map(|i| schur.get(i, j)).collect();
+        assert!(found.iter().zip(&column).all(|(f, c)| (f - f64::from(*c)).abs() < 1e-5 * sparse.norm()));
+        let mut back = vec![0.0; m];
+        inverse.mul(&column, &mut back);
+        assert!(back.iter().zip(&unit).all(|(b, u)| (f64::from(*b) - u).abs() < 1e-3), "{back:?}");
     }
 }
 
@@ -162,7 +172,7 @@ fn empty_system() {
     let a = SparseSymmetric::zeros(Arc::clone(&pattern));
     let cholesky = Cholesky::new(&symbolic(&pattern, Method::Metis, &[]), &a, Par::Seq).unwrap();
     cholesky.solve(&mut [], &mut Scratch::default()).unwrap();
-    assert_eq!(cholesky.schur().unwrap().nrows(), 0);
+    assert_eq!(cholesky.schur().unwrap().len(), 0);
 }
 
 fn bits(v: &[f64]) -> Vec<u64> {
@@ -184,7 +194,7 @@ fn refactorising_repeats_the_bits_of_a_fresh_factor() {
                 let mut x = b.clone();
                 cholesky.solve(&mut x, &mut Scratch::default()).unwrap();
                 let schur = cholesky.schur().unwrap();
-                let schur = (0..40).flat_map(|j| schur.col(j).iter().copied().collect::<Vec<_>>());
+                let schur = (0..40 * 40).map(|k| f64::from(schur.get(k / 40, k % 40)));
                 bits(&x.into_iter().chain(schur).collect::<Vec<_>>())
             };
             let fresh = solve(&Cholesky::new(&symbolic, &second, par).unwrap());

@@ -7,3 +7,4 @@ mod input;
 mod invariance;
 mod operators;
 mod patch;
+mod work;
