@@ -70,11 +70,6 @@ impl DenseSymmetric {
         self.len == 0
     }
 
-    /// Bytes of the entries.
-    pub fn bytes(&self) -> usize {
-        size_of_val(&self.values[..])
-    }
-
     /// The entry in row `i` and column `j`.
     ///
     /// # Panics
