@@ -538,9 +538,10 @@ fn share(planned: &mut [Planned], output: &Path) -> Result<Vec<Shared>, CliError
     for run in planned {
         let mut document = run.case.document.clone();
         let model = &mut document.model;
-        // Of the coupling, units know the sensitivities.
+        // Of the coupling, units know the sensitivities; flow probes the first with the time step.
         model.coupling = model::Coupling { sensitivity: model.coupling.sensitivity.clone(), ..Default::default() };
-        model.time = model::Time { start: model.time.start, end: model.time.start, ..Default::default() };
+        let model::Time { start, end, step, .. } = model.time;
+        model.time = model::Time { start, end, step, ..Default::default() };
         model.output = Default::default();
         run.units = *known.entry(document.to_toml()).or_insert_with(|| {
             let folder = output.join(UNITS).join(list.len().to_string());
@@ -730,6 +731,17 @@ mod tests {
             count += 1;
         }
         assert!(count > 0);
+    }
+
+    #[test]
+    fn units_are_shared_by_splits_but_not_by_time_steps() {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/six-fractures");
+        let text = |value: f64| toml::Value::String(value.to_string());
+        let split = vec!["drained".to_owned(), "undrained".to_owned()];
+        let study = Study { split, dt: vec![text(1.0), text(10.0)], ..Study::default() };
+        let mut runs = plan(&model, &study, &choices(&study).unwrap()).unwrap();
+        share(&mut runs, Path::new("")).unwrap();
+        assert_eq!(runs.iter().map(|run| run.units).collect::<Vec<_>>(), [0, 1, 0, 1]);
     }
 
     #[test]
