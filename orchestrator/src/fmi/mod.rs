@@ -37,8 +37,8 @@ use crate::{CouplingError, Field, Interface};
 const FINGERPRINT: &str = "mesh.fingerprint";
 
 /// Makes units ready for a model: sets the parameters of the coupling that they have and those that the model gives,
-/// initialises them, and refuses different meshes. Mechanics comes before flow, own units before those from elsewhere: the
-/// second of two is given what its partner has at the start before its initialisation ends.
+/// initialises them, and refuses different meshes. Mechanics comes before flow, own units before those from elsewhere: what
+/// later ones take of earlier ones they are given as it is at the start, before their initialisation ends.
 ///
 /// # Errors
 /// [`CouplingError::Mesh`]; [`CouplingError::Unit`].
@@ -49,13 +49,19 @@ pub fn start(units: &mut [FmuUnit], interface: &Interface, model: &model::Model)
     let mut started = vec![false; units.len()];
     for number in order {
         let mut starts: Vec<(String, Parameter)> = Vec::new();
-        let from_partner = |f: &&Field| number < interface.coupled && f.from != number && started[f.from];
-        for field in interface.fields.iter().filter(from_partner) {
-            if units[field.from].has(&field.name) && units[number].has(&field.name) {
-                let (mut values, partner) = (Vec::new(), &mut units[field.from]);
-                partner.get(&field.name, &mut values).map_err(|error| CouplingError::unit(partner, error))?;
-                starts.push((field.name.clone(), Parameter::Numbers(values)));
-            }
+        let from_partner = |f: &&Field| {
+            let both = [f.from, number].iter().all(|&unit| units[unit].has(&f.name));
+            number < interface.coupled && f.from != number && started[f.from] && both
+        };
+        let fields = interface.fields.iter().filter(from_partner);
+        let fields = fields.map(|f| (f.from, &f.name, &f.name, Conversion::NONE));
+        let wires = interface.connections.iter().filter(|c| c.to.0 == number && started[c.from.0]);
+        let wires = wires.map(|c| (c.from.0, &c.from.1, &c.to.1, c.conversion));
+        for (from, variable, to, conversion) in fields.chain(wires).collect::<Vec<_>>() {
+            let (mut values, giver) = (Vec::new(), &mut units[from]);
+            giver.get(variable, &mut values).map_err(|error| CouplingError::unit(giver, error))?;
+            conversion.apply(&mut values);
+            starts.push((to.clone(), Parameter::Numbers(values)));
         }
         starts.extend(parameters(units[number].name(), units[number].fmu().description(), model));
         let unit = &mut units[number];
