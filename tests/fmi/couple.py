@@ -16,12 +16,14 @@ COMPLIANCES = "matrix.porosity_compliance", "fracture.aperture_compliance"
 class Unit:
     """An FMU whose variables are known by their names."""
 
-    def __init__(self, path):
+    def __init__(self, path, start):
         description = read_model_description(path)
+        self.variables = {v.name: v for v in description.modelVariables}
         self.fmu = instantiate_fmu(extract(path), description)
         self.fmu.enterInitializationMode()
+        for name, field in start.items():
+            self.set(name, field)
         self.fmu.exitInitializationMode()
-        self.variables = {v.name: v for v in description.modelVariables}
 
     def get(self, name):
         variable = self.variables[name]
@@ -65,7 +67,8 @@ def advance(flow, mechanics, time, step):
 
 
 if __name__ == "__main__":
-    flow, mechanics = Unit(sys.argv[1]), Unit(sys.argv[2])
+    mechanics = Unit(sys.argv[2], {})
+    flow = Unit(sys.argv[1], values(mechanics, DEFORMATION))
     step, end = float(sys.argv[3]), float(sys.argv[4])
     for time in np.arange(0, end, step):
         iterations = advance(flow, mechanics, time, step)

@@ -39,7 +39,7 @@ def test_the_archive_satisfies_the_schema_and_its_units(packed):
         parameters = valid("SystemStructureParameterValues", archive, "resources/mechanics.ssv")
         archive.extractall(packed / "archive")
     values = {p.get("name"): float(p[0].get("value")) for p in parameters.iter(f"{SSV}Parameter")}
-    assert values == {"porosity_compliance.factor": 1.0, "aperture_compliance.floor": 1.0}
+    assert values == {"porosity_compliance.factor": 1.0, "aperture_compliance.floor": 0.0}
     units = {u.get("name"): {k: int(v) for k, v in u[0].attrib.items()} for u in root.iter(f"{SSC}Unit")}
     assert units["Pa"] == {"kg": 1, "m": -1, "s": -2}
     connectors = {}

@@ -86,7 +86,8 @@ def test_control_c_ends_the_run(record, tmp_path):
     # The interpreter in the unit does not take the signal.
     options = ["--flow", record / "recorded.fmu", "--set", "time.step=0.01"]
     command = [orchestrator(), "run", SIX, "--output", tmp_path / "run", "--quiet", *COARSE, *options]
-    process = subprocess.Popen(command)
+    # Started in the background of a shell, this test would hand on that the signal is ignored.
+    process = subprocess.Popen(command, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     for _ in range(600):
         if (tmp_path / "run" / "checkpoint").exists():
             break

@@ -31,9 +31,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mesh = Arc::new(mesh);
     let problem = mechanics_fmu::unit::problem(&document, &mesh).map_err(|e| e.to_string())?;
     let mut mechanics = Mechanics::new(Arc::clone(&mesh), problem)?;
-    let mut state = mechanics.rest(0.0);
-    mechanics.make_initial(&mut state);
     let partner = Partner::uniform(&mesh, INITIAL_PRESSURE);
+    let Outcome::Converged(mut state, _) = mechanics.step(&mechanics.rest(0.0), 0.0, &partner)? else {
+        return Err("mechanics has no equilibrium at the initial pressure".into());
+    };
+    mechanics.make_initial(&mut state);
     for step in 1..=STEPS {
         match mechanics.step(&state, step as f64 * STEP, &partner)? {
             Outcome::Converged(next, _) => state = next,
