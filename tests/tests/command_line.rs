@@ -194,6 +194,13 @@ fn claims_are_held_against_runs() {
     assert!(text.contains("FAIL  ") && text.contains("the model is changed"), "{text}");
 }
 
+/// Four fractures in a cube (C4), 4 944 cells, bubbles on one side and on both.
+#[test]
+fn a_network_in_3d_meets_its_claims() {
+    let text = succeed(&["verify", "network-3d"]);
+    assert!(text.contains("network-3d, two_sided") && text.contains("14 of 14 claims hold"), "{text}");
+}
+
 /// Order 2 in h of Terzaghi's column on its two coarsest levels, a claim that does not hold, and one that cannot be read.
 #[test]
 fn claims_are_orders_too_and_may_be_wrong() {
