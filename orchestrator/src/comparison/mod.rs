@@ -182,7 +182,7 @@ impl Comparison {
         fs::create_dir_all(&plots).map_err(ResultsError::io(&plots))?;
         files::remove(&plots, |name| name.ends_with(".svg"))?;
         for figure in &figures {
-            files::replace(&plots.join(&figure.name).with_extension("svg"), figure.svg.as_bytes())?;
+            files::replace(&plots.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
         }
         let page = folder.join("index.html");
         files::replace(&page, page::page(self, &rows, &figures).as_bytes())?;
