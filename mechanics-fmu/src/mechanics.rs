@@ -313,7 +313,9 @@ impl Mechanics {
             partners: &partners,
             guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        let solution = problem.solve(&data).map_err(singular)?;
+        // On a thread of the pool, to which each product would else be handed over.
+        let (solution, ()) = rayon::join(|| problem.solve(&data), || ());
+        let solution = solution.map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,

@@ -13,7 +13,7 @@ use crate::error::{Error, check_len};
 use crate::ordering::Ordering;
 use crate::panels::{Panels, Work};
 use crate::pattern::{Pattern, SparseSymmetric};
-use crate::tiles::DenseSymmetric;
+use crate::tiles::{DenseSymmetric, Triangle};
 
 /// Largest scaled residual ‖Ax − b‖ / (‖A‖ ‖x‖ + ‖b‖), in maximum norms, of the test solve after a
 /// factorisation. Cholesky is backward stable, so a sound factor leaves some 1e-16 to 1e-15
@@ -411,9 +411,7 @@ impl Cholesky {
     /// # Errors
     /// [`Error::NotFactorised`].
     pub fn schur(&self) -> Result<DenseSymmetric, Error> {
-        let mut schur = self.trailing_factor()?;
-        schur.square();
-        Ok(schur)
+        Ok(self.trailing_factor()?.square())
     }
 
     /// S⁻¹, the trailing block of A⁻¹, in single precision, as [`schur`](Self::schur). Costs about 2 m³/3
@@ -422,14 +420,12 @@ impl Cholesky {
     /// # Errors
     /// [`Error::NotFactorised`].
     pub fn schur_inverse(&self) -> Result<DenseSymmetric, Error> {
-        let mut inverse = self.trailing_factor()?;
-        inverse.invert();
-        Ok(inverse)
+        Ok(self.trailing_factor()?.inverse())
     }
 
-    fn trailing_factor(&self) -> Result<DenseSymmetric, Error> {
+    fn trailing_factor(&self) -> Result<Triangle, Error> {
         self.check(self.len())?;
-        let mut lower = DenseSymmetric::identity_border(self.symbolic.ordering.trailing());
+        let mut lower = Triangle::identity_border(self.symbolic.ordering.trailing());
         self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
         Ok(lower)
     }

@@ -13,9 +13,10 @@ use faer::linalg::{matmul, triangular_solve};
 use faer::prelude::{Reborrow, ReborrowMut};
 use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
 use faer::{Accum, MatMut, MatRef, Par};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::tiles::DenseSymmetric;
+use crate::tiles::Triangle;
 
 /// Multiplications per update of one panel by another from which faer's parallel kernels pay:
 /// on two cores they doubled the time of plane grids (1e4 to 5e4), broke even at 1e6, and saved a
@@ -422,7 +423,7 @@ impl Panels {
     }
 
     /// Writes the factor of the trailing unknowns, L22, to a lower triangle that is zero on entry.
-    pub(crate) fn trailing_factor(&self, factor: &[f64], lower: &mut DenseSymmetric) {
+    pub(crate) fn trailing_factor(&self, factor: &[f64], lower: &mut Triangle) {
         let split = self.len - lower.len();
         for (column, top, below, rows) in self.trailing_columns(factor, split) {
             for (i, &v) in top.iter().enumerate() {
@@ -447,14 +448,7 @@ impl Panels {
             .map(|p| {
                 let mut sum = vec![0.0; m];
                 let columns = self.trailing_columns(factor, split).take(cut(p + 1)).skip(cut(p));
-                pulp::Arch::new().dispatch(|| {
-                    for (column, top, below, rows) in columns {
-                        let mut t = dot(top, &x[column..]);
-                        t += rows.iter().zip(below).map(|(&row, v)| v * x[row as usize - split]).sum::<f64>();
-                        sum[column..].iter_mut().zip(top).for_each(|(y, v)| *y += t * v);
-                        rows.iter().zip(below).for_each(|(&row, v)| sum[row as usize - split] += t * v);
-                    }
-                });
+                pulp::Arch::new().dispatch(ColumnProducts { columns, split, x, sum: &mut sum });
                 sum
             })
             .collect();
@@ -479,17 +473,60 @@ impl Panels {
     }
 }
 
-/// Σ a_i b_i over the length of `a`, in eight sums that the compiler keeps in registers.
-#[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    let (pairs, rest) = (a.chunks_exact(8).zip(b.chunks_exact(8)), a.len() / 8 * 8);
-    for (a, b) in pairs {
-        for k in 0..8 {
-            sums[k] += a[k] * b[k];
+/// What some columns of the trailing factor, and their transposes, add to a product.
+struct ColumnProducts<'a, I> {
+    columns: I,
+    split: usize,
+    x: &'a [f64],
+    sum: &'a mut [f64],
+}
+
+impl<'a, I: Iterator<Item = (usize, &'a [f64], &'a [f64], &'a [u32])>> WithSimd for ColumnProducts<'_, I> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { columns, split, x, sum } = self;
+        for (column, top, below, rows) in columns {
+            let mut t = dot(simd, top, &x[column..][..top.len()]);
+            t += rows.iter().zip(below).map(|(&row, v)| v * x[row as usize - split]).sum::<f64>();
+            add_multiple(simd, t, top, &mut sum[column..][..top.len()]);
+            rows.iter().zip(below).for_each(|(&row, v)| sum[row as usize - split] += t * v);
         }
     }
-    sums.iter().sum::<f64>() + a[rest..].iter().zip(&b[rest..]).map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// Σ a_i b_i.
+#[inline(always)]
+fn dot<S: Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
+    // Several sums, since one would wait for itself.
+    const SUMS: usize = 4;
+    let ((a, a_rest), (b, b_rest)) = (S::as_simd_f64s(a), S::as_simd_f64s(b));
+    let mut sums = [simd.splat_f64s(0.0); SUMS];
+    let (groups, others) = (a.chunks_exact(SUMS).zip(b.chunks_exact(SUMS)), a.len() / SUMS * SUMS);
+    for (a, b) in groups {
+        for k in 0..SUMS {
+            sums[k] = simd.mul_add_e_f64s(a[k], b[k], sums[k]);
+        }
+    }
+    for (&a, &b) in a[others..].iter().zip(&b[others..]) {
+        sums[0] = simd.mul_add_e_f64s(a, b, sums[0]);
+    }
+    let sum = simd.add_f64s(simd.add_f64s(sums[0], sums[1]), simd.add_f64s(sums[2], sums[3]));
+    simd.reduce_sum_f64s(sum) + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// y += t a.
+#[inline(always)]
+fn add_multiple<S: Simd>(simd: S, t: f64, a: &[f64], y: &mut [f64]) {
+    let ((a, a_rest), (y, y_rest)) = (S::as_simd_f64s(a), S::as_mut_simd_f64s(y));
+    let factor = simd.splat_f64s(t);
+    for (y, &a) in y.iter_mut().zip(a) {
+        *y = simd.mul_add_e_f64s(a, factor, *y);
+    }
+    for (y, &a) in y_rest.iter_mut().zip(a_rest) {
+        *y += a * t;
+    }
 }
 
 impl Panel {

@@ -1,63 +1,71 @@
-//! Dense symmetric matrices in single precision, stored by tiles of their lower triangle: half the memory, and half the
-//! reading per product.
+//! Dense symmetric matrices by tiles of their lower triangle.
 //!
-//! The algorithms from a Cholesky factor L to L Lᵀ and to (L Lᵀ)⁻¹ work in place, tile row by tile row (LAPACK's `trtri`
-//! and `lauum`). The work is cut by the size of the matrix alone, so results do not depend on the number of threads.
+//! Tiles on the diagonal are in single precision, the others in 16-bit integers times a scale of the tile: a quarter of the
+//! memory of the lower triangle in double precision, and of the reading per product. Entries are exact to 1.5e-5 of the
+//! largest of their tile, enough for Krylov's method within a method that corrects itself.
+//!
+//! The algorithms from a Cholesky factor L to L Lᵀ and to (L Lᵀ)⁻¹ go tile row by tile row (LAPACK's `trtri` and `lauum`), and
+//! each row of the result is packed as soon as it is known. The work is cut by the size of the matrix alone, so results do not
+//! depend on the number of threads.
+
+use std::ops::Range;
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Rows of a tile: three fit into a cache of the second level.
 const TILE: usize = 128;
 /// Columns of a tile that a product handles together.
 const GROUP: usize = 4;
-/// Numbers that a product handles together, so that the compiler keeps them in vector registers.
-const LANES: usize = 16;
 /// A product is cut into at most so many parts, of at least so many tiles.
 const PARTS: usize = 8;
 const TILES_PER_PART: usize = 16;
 
-/// A dense symmetric matrix in single precision.
+/// Rows of a tile of a matrix: a power of 2.
+fn tile_rows(len: usize) -> usize {
+    len.clamp(GROUP, TILE).next_power_of_two()
+}
+
+/// A dense symmetric matrix for products.
 ///
 /// Made from a factor by [`Cholesky::schur`](crate::Cholesky::schur) and
 /// [`Cholesky::schur_inverse`](crate::Cholesky::schur_inverse).
 #[derive(Clone, Debug)]
 pub struct DenseSymmetric {
     len: usize,
-    /// Rows of a tile, a power of 2, and which.
+    /// Rows of a tile.
     tile: usize,
-    shift: u32,
-    /// Tiles (i, j ≤ i) by rows, each by columns; those on the diagonal are whole. The last row and column of tiles are
-    /// filled up with the identity.
-    values: Vec<f32>,
+    /// Tiles (i, i), whole and by columns. The last row and column of tiles are filled up with the identity.
+    diagonal: Vec<f32>,
+    /// Tiles (i, j < i) by rows, each by columns, in units of their scales.
+    below: Vec<i16>,
+    scales: Vec<f32>,
 }
 
 impl DenseSymmetric {
     /// The symmetric matrix with `entry(i, j)` for i ≥ j.
     pub fn from_fn(len: usize, entry: impl Fn(usize, usize) -> f32) -> Self {
-        let mut result = Self::identity_border(len);
+        let mut lower = Triangle::identity_border(len);
         for i in 0..len {
             for j in 0..=i {
                 let value = entry(i, j);
-                result.set(i, j, value);
-                result.set(j, i, value);
+                lower.set(i, j, value);
+                lower.set(j, i, value);
             }
         }
+        let mut result = Self::zeros(len);
+        lower.rows.iter().enumerate().for_each(|(i, row)| result.pack(i, row));
         result
     }
 
-    /// The lower triangle of a Cholesky factor, to be filled by [`set`](Self::set).
-    pub(crate) fn identity_border(len: usize) -> Self {
-        let tile = len.clamp(GROUP, TILE).next_power_of_two();
-        let rows = len.div_ceil(tile);
-        let mut result =
-            Self { len, tile, shift: tile.trailing_zeros(), values: vec![0.0; rows * (rows + 1) / 2 * tile * tile] };
-        for i in len..rows * tile {
-            result.set(i, i, 1.0);
-        }
-        result
+    fn zeros(len: usize) -> Self {
+        let tile = tile_rows(len);
+        let (rows, size) = (len.div_ceil(tile), tile * tile);
+        let below = rows * rows.saturating_sub(1) / 2;
+        Self { len, tile, diagonal: vec![0.0; rows * size], below: vec![0; below * size], scales: vec![0.0; below] }
     }
 
     /// Number of rows and columns.
@@ -75,7 +83,14 @@ impl DenseSymmetric {
     /// # Panics
     /// If there is no such entry.
     pub fn get(&self, i: usize, j: usize) -> f32 {
-        self.values[self.place(i.max(j), i.min(j))]
+        let (i, j) = (i.max(j), i.min(j));
+        let (row, column, inside) = (i / self.tile, j / self.tile, (j % self.tile) * self.tile + i % self.tile);
+        if row == column {
+            self.diagonal[row * self.tile * self.tile + inside]
+        } else {
+            let tile = first(row) + column;
+            self.scales[tile] * f32::from(self.below[tile * self.tile * self.tile + inside])
+        }
     }
 
     /// Adds to an entry of the diagonal.
@@ -83,30 +98,24 @@ impl DenseSymmetric {
     /// # Panics
     /// If there is no such entry.
     pub fn add_to_diagonal(&mut self, i: usize, value: f32) {
-        let place = self.place(i, i);
-        self.values[place] += value;
+        self.diagonal[i / self.tile * self.tile * self.tile + i % self.tile * (self.tile + 1)] += value;
     }
 
-    /// Sets an entry with `i` ≥ `j`, or any entry of a tile on the diagonal.
-    pub(crate) fn set(&mut self, i: usize, j: usize, value: f32) {
-        if i / self.tile >= j / self.tile {
-            let place = self.place(i, j);
-            self.values[place] = value;
-        }
-    }
-
-    fn place(&self, i: usize, j: usize) -> usize {
-        let inside = self.tile - 1;
-        self.start(i >> self.shift, j >> self.shift) + ((j & inside) << self.shift) + (i & inside)
-    }
-
-    /// Place of the first entry of a tile.
-    fn start(&self, i: usize, j: usize) -> usize {
-        (i * (i + 1) / 2 + j) << (2 * self.shift)
-    }
-
-    fn tile_rows(&self) -> usize {
-        self.len.div_ceil(self.tile)
+    /// Sets tile row `i` to tiles (i, j ≤ i).
+    fn pack(&mut self, i: usize, tiles: &[f32]) {
+        const LARGEST: f32 = i16::MAX as f32;
+        let size = self.tile * self.tile;
+        let (before, own) = tiles.split_at(i * size);
+        self.diagonal[i * size..][..size].copy_from_slice(own);
+        let tiles = first(i)..first(i) + i;
+        let packed = self.below[tiles.start * size..tiles.end * size].par_chunks_exact_mut(size);
+        packed.zip(&mut self.scales[tiles]).zip(before.par_chunks_exact(size)).for_each(|((packed, scale), tile)| {
+            let largest = tile.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
+            if largest > 0.0 {
+                *scale = largest / LARGEST;
+                packed.iter_mut().zip(tile).for_each(|(p, v)| *p = (v / largest * LARGEST).round() as i16);
+            }
+        });
     }
 
     /// y ← A x, both of length `len()`. Tiles where x is zero are not read.
@@ -115,7 +124,7 @@ impl DenseSymmetric {
     /// If a length is wrong.
     pub fn mul(&self, x: &[f32], y: &mut [f32]) {
         assert!(x.len() == self.len && y.len() == self.len, "vectors of {} and {} for {}", x.len(), y.len(), self.len);
-        let (t, rows) = (self.tile, self.tile_rows());
+        let (t, rows) = (self.tile, self.len.div_ceil(self.tile));
         let mut padded = x.to_vec();
         padded.resize(rows * t, 0.0);
         let zero: Vec<bool> = padded.chunks_exact(t).map(|x| x.iter().all(|&x| x == 0.0)).collect();
@@ -127,19 +136,8 @@ impl DenseSymmetric {
             .into_par_iter()
             .map(|p| {
                 let mut sum = vec![0.0; cuts[p + 1] * t];
-                let tiles = (cuts[p]..cuts[p + 1]).flat_map(|i| (0..=i).map(move |j| (i, j)));
-                pulp::Arch::new().dispatch(|| {
-                    for (i, j) in tiles.filter(|&(i, j)| !(zero[i] && zero[j])) {
-                        let (before, own) = sum.split_at_mut(i * t);
-                        let tile = &self.values[self.start(i, j)..][..t * t];
-                        let (xi, xj) = (&padded[i * t..][..t], &padded[j * t..][..t]);
-                        if i == j {
-                            add_product(tile, xj, &mut own[..t]);
-                        } else {
-                            add_products(tile, (xi, xj), &mut own[..t], &mut before[j * t..][..t]);
-                        }
-                    }
-                });
+                let rows = cuts[p]..cuts[p + 1];
+                pulp::Arch::new().dispatch(TileRows { matrix: self, rows, x: &padded, zero: &zero, sum: &mut sum });
                 sum
             })
             .collect();
@@ -148,75 +146,109 @@ impl DenseSymmetric {
             y.iter_mut().zip(sum).for_each(|(y, s)| *y += s);
         }
     }
+}
 
-    /// A factor L becomes the symmetric L Lᵀ.
-    pub(crate) fn square(&mut self) {
+/// Number of the first tile below the diagonal in tile row `i`.
+fn first(i: usize) -> usize {
+    i * i.saturating_sub(1) / 2
+}
+
+/// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. The last row and column of
+/// tiles are filled up with the identity.
+#[derive(Clone, Debug)]
+pub(crate) struct Triangle {
+    len: usize,
+    tile: usize,
+    rows: Vec<Vec<f32>>,
+}
+
+impl Triangle {
+    /// To be filled by [`set`](Self::set).
+    pub(crate) fn identity_border(len: usize) -> Self {
+        let tile = tile_rows(len);
+        let rows = len.div_ceil(tile);
+        let mut result = Self { len, tile, rows: (0..rows).map(|i| vec![0.0; (i + 1) * tile * tile]).collect() };
+        (len..rows * tile).for_each(|i| result.set(i, i, 1.0));
+        result
+    }
+
+    /// Number of rows and columns.
+    pub(crate) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Sets an entry with `i` ≥ `j`, or any entry of a tile on the diagonal.
+    pub(crate) fn set(&mut self, i: usize, j: usize, value: f32) {
+        let t = self.tile;
+        if i / t >= j / t {
+            self.rows[i / t][j / t * t * t + j % t * t + i % t] = value;
+        }
+    }
+
+    /// L Lᵀ, L being this triangle.
+    pub(crate) fn square(mut self) -> DenseSymmetric {
         let size = self.tile * self.tile;
-        for i in (0..self.tile_rows()).rev() {
-            // Row i of L Lᵀ needs the rows up to i of L.
-            let start = self.start(i, 0);
-            let (before, from) = self.values.split_at_mut(start);
-            let row = &mut from[..(i + 1) * size];
-            let own = row.to_vec();
+        let mut result = DenseSymmetric::zeros(self.len);
+        // Row i of L Lᵀ needs the rows up to i of L.
+        while let Some(own) = self.rows.pop() {
+            let i = self.rows.len();
+            let mut row = vec![0.0; own.len()];
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
-                let other = if j < i { &before[j * (j + 1) / 2 * size..][..(j + 1) * size] } else { &own[..] };
+                let other = if j < i { &self.rows[j] } else { &own };
                 let mut out = view_mut(out);
-                out.fill(0.0);
                 for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
+            result.pack(i, &row);
         }
+        result
     }
 
-    /// A factor L becomes L⁻¹.
+    /// L becomes L⁻¹.
     fn invert_triangle(&mut self) {
         let (t, size) = (self.tile, self.tile * self.tile);
-        for i in 0..self.tile_rows() {
+        for i in 0..self.rows.len() {
             // Row i of L⁻¹ needs that of L and the earlier ones of L⁻¹.
-            let start = self.start(i, 0);
-            let (before, from) = self.values.split_at_mut(start);
-            let row = &mut from[..(i + 1) * size];
-            let own = row.to_vec();
+            let own = std::mem::take(&mut self.rows[i]);
+            let mut row = vec![0.0; own.len()];
             let diagonal = view(&own[i * size..]);
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
                 if j == i {
                     out.copy_from(Mat::<f32>::identity(t, t));
                 } else {
-                    out.fill(0.0);
                     for k in j..i {
-                        let other = &before[(k * (k + 1) / 2 + j) * size..][..size];
-                        matmul(out.as_mut(), Accum::Add, view(&own[k * size..][..size]), view(other), -1.0, Par::Seq);
+                        let (a, b) = (&own[k * size..][..size], &self.rows[k][j * size..][..size]);
+                        matmul(out.as_mut(), Accum::Add, view(a), view(b), -1.0, Par::Seq);
                     }
                 }
                 solve_lower_triangular_in_place(diagonal, out, Par::Seq);
             });
+            self.rows[i] = row;
         }
     }
 
-    /// A factor L becomes the symmetric (L Lᵀ)⁻¹.
-    pub(crate) fn invert(&mut self) {
+    /// (L Lᵀ)⁻¹, L being this triangle.
+    pub(crate) fn inverse(mut self) -> DenseSymmetric {
         self.invert_triangle();
         let size = self.tile * self.tile;
-        let rows = self.tile_rows();
-        for i in 0..rows {
+        let mut result = DenseSymmetric::zeros(self.len);
+        for i in 0..self.rows.len() {
             // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N.
-            let start = self.start(i, 0);
-            let (row, after) = self.values[start..].split_at_mut((i + 1) * size);
-            let own = row.to_vec();
-            // Tile (k, j), k > i.
-            let tile = |k: usize, j: usize| &after[(k * (k + 1) / 2 - (i + 1) * (i + 2) / 2 + j) * size..][..size];
+            let own = std::mem::take(&mut self.rows[i]);
+            let mut row = vec![0.0; own.len()];
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
-                let (a, b) = (&own[i * size..], &own[j * size..][..size]);
-                matmul(out.as_mut(), Accum::Replace, view(a).transpose(), view(b), 1.0, Par::Seq);
-                for k in i + 1..rows {
-                    let (a, b) = (tile(k, i), tile(k, j));
+                for k in i..self.rows.len() {
+                    let row = if k == i { &own } else { &self.rows[k] };
+                    let (a, b) = (&row[i * size..][..size], &row[j * size..][..size]);
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
+            result.pack(i, &row);
         }
+        result
     }
 }
 
@@ -230,60 +262,109 @@ fn view_mut(tile: &mut [f32]) -> MatMut<'_, f32> {
     MatMut::from_column_major_slice_mut(tile, t, t)
 }
 
-/// y += A x.
-#[inline(always)]
-fn add_product(tile: &[f32], x: &[f32], y: &mut [f32]) {
-    let t = x.len();
-    for (columns, x) in tile.chunks_exact(GROUP * t).zip(x.chunks_exact(GROUP)) {
-        for r in 0..t {
-            y[r] += (0..GROUP).map(|c| columns[c * t + r] * x[c]).sum::<f32>();
+/// What some rows of tiles, and their transposes, add to a product.
+struct TileRows<'a> {
+    matrix: &'a DenseSymmetric,
+    rows: Range<usize>,
+    x: &'a [f32],
+    zero: &'a [bool],
+    sum: &'a mut [f32],
+}
+
+impl WithSimd for TileRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { matrix, rows, x, zero, sum } = self;
+        let (t, size) = (matrix.tile, matrix.tile * matrix.tile);
+        for i in rows {
+            let (before, own) = sum.split_at_mut(i * t);
+            let (own, xi) = (&mut own[..t], &x[i * t..][..t]);
+            for j in (0..i).filter(|&j| !(zero[i] && zero[j])) {
+                let tile = first(i) + j;
+                let (packed, scale) = (&matrix.below[tile * size..][..size], matrix.scales[tile]);
+                add_products(simd, packed, scale, (xi, &x[j * t..][..t]), own, &mut before[j * t..][..t]);
+            }
+            if !zero[i] {
+                add_product(simd, &matrix.diagonal[i * size..][..size], xi, own);
+            }
         }
     }
 }
 
-/// yi += A xj and yj += Aᵀ xi, reading A once.
+/// y += A x.
 #[inline(always)]
-fn add_products(tile: &[f32], (xi, xj): (&[f32], &[f32]), yi: &mut [f32], yj: &mut [f32]) {
+fn add_product<S: Simd>(simd: S, tile: &[f32], x: &[f32], y: &mut [f32]) {
+    for (column, &x) in tile.chunks_exact(x.len()).zip(x) {
+        let ((a, a_rest), (y, y_rest)) = (S::as_simd_f32s(column), S::as_mut_simd_f32s(y));
+        let factor = simd.splat_f32s(x);
+        for (y, &a) in y.iter_mut().zip(a) {
+            *y = simd.mul_add_e_f32s(a, factor, *y);
+        }
+        for (y, &a) in y_rest.iter_mut().zip(a_rest) {
+            *y += a * x;
+        }
+    }
+}
+
+/// yi += A xj and yj += Aᵀ xi, A being the packed tile times its scale, which is read once.
+#[inline(always)]
+fn add_products<S: Simd>(
+    simd: S,
+    packed: &[i16],
+    scale: f32,
+    (xi, xj): (&[f32], &[f32]),
+    yi: &mut [f32],
+    yj: &mut [f32],
+) {
     let t = xi.len();
-    let whole = t - t % LANES;
-    let groups = tile.chunks_exact(GROUP * t).zip(xj.chunks_exact(GROUP)).zip(yj.chunks_exact_mut(GROUP));
-    for ((columns, xj), yj) in groups {
-        let columns: [&[f32]; GROUP] = std::array::from_fn(|c| &columns[c * t..][..t]);
-        let mut sums = [[0.0f32; LANES]; GROUP];
-        for r in (0..whole).step_by(LANES) {
-            let x: [f32; LANES] = std::array::from_fn(|l| xi[r + l]);
-            let mut y: [f32; LANES] = std::array::from_fn(|l| yi[r + l]);
+    let mut buffer = [0.0f32; GROUP * TILE];
+    let columns = &mut buffer[..GROUP * t];
+    let (x, x_rest) = S::as_simd_f32s(xi);
+    let (y, y_rest) = S::as_mut_simd_f32s(yi);
+    let groups = packed.chunks_exact(GROUP * t).zip(xj.chunks_exact(GROUP)).zip(yj.chunks_exact_mut(GROUP));
+    for ((packed, xj), yj) in groups {
+        for (a, &p) in columns.iter_mut().zip(packed) {
+            *a = f32::from(p);
+        }
+        let mut a: [(&[S::f32s], &[f32]); GROUP] = [(&[], &[]); GROUP];
+        let (mut factors, mut sums) = ([simd.splat_f32s(0.0); GROUP], [simd.splat_f32s(0.0); GROUP]);
+        for c in 0..GROUP {
+            a[c] = S::as_simd_f32s(&columns[c * t..][..t]);
+            factors[c] = simd.splat_f32s(scale * xj[c]);
+        }
+        for (r, (y, &x)) in y.iter_mut().zip(x).enumerate() {
             for c in 0..GROUP {
-                let a = &columns[c][r..r + LANES];
-                for l in 0..LANES {
-                    y[l] += a[l] * xj[c];
-                    sums[c][l] += a[l] * x[l];
-                }
+                *y = simd.mul_add_e_f32s(a[c].0[r], factors[c], *y);
+                sums[c] = simd.mul_add_e_f32s(a[c].0[r], x, sums[c]);
             }
-            yi[r..r + LANES].copy_from_slice(&y);
         }
         for c in 0..GROUP {
-            yj[c] += sums[c].iter().sum::<f32>();
-            for r in whole..t {
-                yi[r] += columns[c][r] * xj[c];
-                yj[c] += columns[c][r] * xi[r];
+            let mut sum = simd.reduce_sum_f32s(sums[c]);
+            for ((y, &x), &a) in y_rest.iter_mut().zip(x_rest).zip(a[c].1) {
+                *y += a * scale * xj[c];
+                sum += a * x;
             }
+            yj[c] += scale * sum;
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use faer::linalg::solvers::Solve;
+
     use super::*;
 
     /// A diagonally dominant matrix of several tiles, its factor, and a vector.
-    fn example(n: usize) -> (Mat<f64>, DenseSymmetric, Vec<f32>) {
+    fn example(n: usize) -> (Mat<f64>, Triangle, Vec<f32>) {
         let a = Mat::from_fn(n, n, |i, j| {
             let distance = i.abs_diff(j) as f64;
             if i == j { 4.0 } else { ((i + j) as f64).sin() / (1.0 + distance * distance) }
         });
         let llt = a.llt(faer::Side::Lower).unwrap();
-        let mut factor = DenseSymmetric::identity_border(n);
+        let mut factor = Triangle::identity_border(n);
         (0..n).for_each(|j| (j..n).for_each(|i| factor.set(i, j, llt.L()[(i, j)] as f32)));
         (a, factor, (0..n).map(|i| (0.7 * i as f32).cos()).collect())
     }
@@ -292,31 +373,29 @@ mod tests {
     fn from_a_factor_to_the_matrix_and_its_inverse() {
         for n in [1, 3, 5, TILE, 2 * TILE + 37, 11 * TILE] {
             let (a, factor, x) = example(n);
-            let mut square = factor.clone();
-            square.square();
-            let mut inverse = factor;
-            inverse.invert();
-            for k in 0..n {
-                let (i, j) = (k * k % n, k);
-                assert!((f64::from(square.get(i, j)) - a[(i, j)]).abs() < 1e-5, "{n}: {i} {j}");
-                assert_eq!(square.get(i, j), square.get(j, i));
+            let (square, inverse) = (factor.clone().square(), factor.inverse());
+            let identity = Mat::<f64>::identity(n, n);
+            let exact = a.llt(faer::Side::Lower).unwrap().solve(&identity);
+            for (matrix, exact) in [(&square, &a), (&inverse, &exact)] {
+                for k in 0..n {
+                    let (i, j) = (k * k % n, k);
+                    assert!((f64::from(matrix.get(i, j)) - exact[(i, j)]).abs() < 1e-5, "{n}: {i} {j}");
+                    assert_eq!(matrix.get(i, j), matrix.get(j, i));
+                }
+                let mut y = vec![0.0; n];
+                matrix.mul(&x, &mut y);
+                for i in 0..n {
+                    let expected: f64 = (0..n).map(|j| f64::from(matrix.get(i, j)) * f64::from(x[j])).sum();
+                    assert!((f64::from(y[i]) - expected).abs() < 1e-5, "{n}: {} not {expected}", y[i]);
+                }
             }
-            let mut y = vec![0.0; n];
-            square.mul(&x, &mut y);
-            for i in 0..n {
-                let expected: f64 = (0..n).map(|j| a[(i, j)] * f64::from(x[j])).sum();
-                assert!((f64::from(y[i]) - expected).abs() < 1e-4, "{n}: {} not {expected}", y[i]);
-            }
-            let mut back = vec![0.0; n];
-            inverse.mul(&y, &mut back);
-            assert!((0..n).all(|i| (back[i] - x[i]).abs() < 1e-4), "{n}");
         }
     }
 
     #[test]
     fn products_do_not_depend_on_threads_and_skip_zeros() {
-        let (_, mut s, mut x) = example(11 * TILE);
-        s.square();
+        let (_, factor, mut x) = example(11 * TILE);
+        let s = factor.square();
         x[..7 * TILE].fill(0.0);
         let products = [1, 2, 3].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

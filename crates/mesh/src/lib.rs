@@ -30,7 +30,7 @@ pub mod zoo;
 pub use data::MeshData;
 pub use error::{MeshError, Problem};
 pub use geometry::Geometry;
-pub use glam::DVec3 as Vec3;
+pub use glam::{DMat3 as Mat3, DVec3 as Vec3};
 pub use lists::Lists;
 pub use locate::Locator;
 pub use network::{EdgeKind, Network, Side, tangents};

@@ -7,7 +7,7 @@ use crate::common::{coulomb, fractured, hold, mesh, model, start, step};
 
 /// A cube that is pulled and sheared more and more: nearly all faces are open, then most are closed again.
 #[test]
-fn a_newton_iteration_takes_few_linear_ones_and_factorises_few_components() {
+fn a_newton_iteration_takes_few_linear_ones_and_no_factorisation() {
     let mesh = mesh(fractured("tetrahedra"));
     for bubbles in [Bubbles::OneSided, Bubbles::TwoSided] {
         let mut model = model(&mesh, &coulomb(0.5, 0.0));
@@ -17,7 +17,6 @@ fn a_newton_iteration_takes_few_linear_ones_and_factorises_few_components() {
         hold(&mut model, 3, &["top"], move |p, t| path(t) * (0.2 + p.at.x));
         let mut mechanics = start(&mesh, model);
         let partner = Partner::uniform(&mesh, 1e5);
-        let components = 3 * mesh.network().face_count();
         let mut state = mechanics.rest(0.0);
         let mut seen = [0; 3];
         let (mut iterations, mut linear_iterations) = (0, 0);
@@ -26,15 +25,13 @@ fn a_newton_iteration_takes_few_linear_ones_and_factorises_few_components() {
             let newton = report.newton;
             iterations += newton.iterations;
             linear_iterations += newton.linear_iterations;
-            assert!(newton.face_factorisations <= newton.iterations, "{k}: {newton:?}");
-            // Two of three where all faces slip.
-            assert!(3 * newton.largest_factorisation <= 2 * components, "{k}: {newton:?} of {components}");
+            assert_eq!(newton.face_factorisations, 0, "{k}: {newton:?}");
             for (seen, wanted) in seen.iter_mut().zip([ContactState::Open, ContactState::Stick, ContactState::Slip]) {
                 *seen += next.count(wanted);
             }
             state = next;
         }
-        assert!(linear_iterations <= 3 * iterations, "{linear_iterations} in {iterations}");
+        assert!(linear_iterations <= 12 * iterations, "{linear_iterations} in {iterations}");
         assert!(seen.iter().all(|&n| n > 10), "too little happens: {seen:?}");
         assert_eq!(mechanics.factorisations(), 1);
         // The same again, with nothing to do.
