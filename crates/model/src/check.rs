@@ -5,6 +5,7 @@ use mesh::Mesh;
 use crate::description::{Acceleration, Coupling, Criterion, Fracture, Friction, MeshSource, Region, Time, Well};
 use crate::document::quote;
 use crate::expression::{Function, Node, Scope, parse};
+use crate::value::compile;
 use crate::{ExpressionError, Model, Number, Value};
 
 /// The coupling fields of the two units, with their units of measure.
@@ -58,7 +59,7 @@ impl Model {
     /// # Errors
     /// An expression that is not sound, or uses what `scope` does not have.
     pub fn function(&self, value: &Value, scope: Scope) -> Result<Function, ExpressionError> {
-        self.compile(value, scope, &mut Vec::new())
+        compile(&self.define, value, scope, &mut Vec::new())
     }
 
     /// An expression of all variables, of what is under `[define]` and of further `names`, whose values
@@ -71,26 +72,9 @@ impl Model {
             if let Some(i) = names.iter().position(|n| n == name) {
                 return Some(Ok(Node::Given(i)));
             }
-            let meaning = self.compile(self.define.get(name)?, Scope::All, &mut vec![name.to_owned()]);
+            let meaning = compile(&self.define, self.define.get(name)?, Scope::All, &mut vec![name.to_owned()]);
             Some(meaning.map(Node::from).map_err(|error| format!("in \"{name}\": {}", error.message)))
         })
-    }
-
-    /// Names under `[define]` whose meaning is being looked up are in `open`.
-    fn compile(&self, value: &Value, scope: Scope, open: &mut Vec<String>) -> Result<Function, ExpressionError> {
-        match value {
-            Value::Number(value) => Ok(Function::constant(*value)),
-            Value::Expression(text) => parse(text, scope, &mut |name| {
-                let value = self.define.get(name)?;
-                if open.iter().any(|n| n == name) {
-                    return Some(Err(format!("\"{name}\" is defined by itself: {} → {name}", open.join(" → "))));
-                }
-                open.push(name.to_owned());
-                let node = self.compile(value, scope, open).map(Node::from);
-                open.pop();
-                Some(node.map_err(|error| format!("in \"{name}\": {}", error.message)))
-            }),
-        }
     }
 
     /// All that can be told without a mesh.

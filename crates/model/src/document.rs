@@ -12,7 +12,8 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use crate::error::{Place, Problem, Problems};
-use crate::{Model, ModelError};
+use crate::value::reading_with;
+use crate::{Model, ModelError, Value};
 
 /// A model with its text, to say where things stand.
 #[derive(Clone, Debug)]
@@ -239,10 +240,16 @@ impl Reader {
         let within = |inner: &str, outer: &str| {
             outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
         };
-        self.changed.iter().any(|changed| {
-            let undefined = changed.strip_prefix("define.").map(|name| format!("\"{name}\" is not known"));
-            within(key, changed) || within(changed, key) || undefined.is_some_and(|text| message.contains(&text))
-        })
+        self.uses_unread(message) || self.changed.iter().any(|changed| within(key, changed) || within(changed, key))
+    }
+
+    /// Whether a message complains of a definition that was taken out.
+    fn uses_unread(&self, message: &str) -> bool {
+        let unread = |changed: &String| {
+            let name = changed.strip_prefix("define.")?;
+            Some(message.contains(&format!("\"{name}\" is not known")))
+        };
+        self.changed.iter().filter_map(unread).any(|is| is)
     }
 
     fn parse<'a>(&mut self, padded: &'a str) -> DeTable<'a> {
@@ -292,7 +299,9 @@ impl Reader {
                 if !error.message().starts_with("unknown field") {
                     self.changed.push(list.map_or(shown.as_str(), |list| list.0).to_owned());
                 }
-                self.problem(shown, Some(found.unwrap_or(span)), error.message().to_owned());
+                if !self.uses_unread(error.message()) {
+                    self.problem(shown, Some(found.unwrap_or(span)), error.message().to_owned());
+                }
             }
             if path.is_empty() || !remove(&mut tree, &path) {
                 return None;
@@ -304,7 +313,16 @@ impl Reader {
 }
 
 fn read(tree: &DeTable<'_>) -> Result<Model, toml::de::Error> {
-    Model::deserialize(toml::Deserializer::from(Spanned::new(0..0, tree.clone())))
+    #[derive(Default, Deserialize)]
+    struct Definitions {
+        #[serde(default)]
+        define: BTreeMap<String, toml::Value>,
+    }
+    let deserializer = || toml::Deserializer::from(Spanned::new(0..0, tree.clone()));
+    // What is not readable is an error of the model.
+    let definitions = Definitions::deserialize(deserializer()).unwrap_or_default().define.into_iter();
+    let define = definitions.filter_map(|(name, value)| Some((name, Value::deserialize(value).ok()?))).collect();
+    reading_with(define, || Model::deserialize(deserializer()))
 }
 
 fn join(path: &str, name: &str) -> String {

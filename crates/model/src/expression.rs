@@ -437,8 +437,8 @@ impl<'a> Parser<'a> {
             }
         }
         let names: Vec<_> = NAMES.iter().filter(|(_, v)| allowed.contains(v)).map(|(n, _)| *n).collect();
-        let names = if names.is_empty() { "no variable".into() } else { names.join(", ") };
-        Err(Named::Here(format!("\"{name}\" is not known here; {names}, pi and names under [define] are")))
+        let names = if names.is_empty() { "only".into() } else { names.join(", ") + "," };
+        Err(Named::Here(format!("\"{name}\" is not known here; {names} pi and names under [define] are")))
     }
 
     fn call(&mut self, function: &str) -> Result<Node, Named> {
@@ -570,7 +570,7 @@ mod tests {
         for (source, column, part) in [
             ("1 + * 2", 5, "number, a name"),
             ("1 + qq", 5, "\"qq\" is not known"),
-            ("t", 1, "x, y, z, pi"),
+            ("t", 1, "x, y, z, pi and names"),
             ("sin(1", 6, "\")\" is missing"),
             ("sin(1, 2)", 1, "one argument"),
             ("foo(1)", 1, "not a function"),

@@ -1,13 +1,15 @@
 //! What stands right of the equals sign: numbers, expressions, points and tensors.
 
 use std::borrow::Cow;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::fmt;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
-use crate::expression::{Scope, parse};
+use crate::expression::{ExpressionError, Function, Node, Scope, parse};
 
 /// A number, or an expression of what its place allows ([`Scope`]).
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,7 +59,53 @@ impl JsonSchema for Value {
     }
 }
 
-/// A number; in the file also a constant expression such as `"tan(25*pi/180)"`.
+/// What is under `[define]`, by name.
+type Definitions = BTreeMap<String, Value>;
+
+/// Makes a value ready to be evaluated. Names under `[define]` whose meaning is being looked up are in `open`.
+pub(crate) fn compile(
+    define: &Definitions,
+    value: &Value,
+    scope: Scope,
+    open: &mut Vec<String>,
+) -> Result<Function, ExpressionError> {
+    match value {
+        Value::Number(value) => Ok(Function::constant(*value)),
+        Value::Expression(text) => parse(text, scope, &mut |name| {
+            let value = define.get(name)?;
+            if open.iter().any(|n| n == name) {
+                return Some(Err(format!("\"{name}\" is defined by itself: {} → {name}", open.join(" → "))));
+            }
+            open.push(name.to_owned());
+            let node = compile(define, value, scope, open).map(Node::from);
+            open.pop();
+            Some(node.map_err(|error| format!("in \"{name}\": {}", error.message)))
+        }),
+    }
+}
+
+thread_local! {
+    /// The definitions of the model that is being read: serde hands nothing down to a value.
+    static DEFINE: RefCell<Definitions> = RefCell::default();
+}
+
+/// Reads with these definitions for constant expressions.
+pub(crate) fn reading_with<T>(define: Definitions, read: impl FnOnce() -> T) -> T {
+    DEFINE.set(define);
+    let result = read();
+    DEFINE.take();
+    result
+}
+
+/// The value of a constant expression.
+fn constant<E: de::Error>(text: &str) -> Result<f64, E> {
+    let value = Value::Expression(text.to_owned());
+    let function = DEFINE.with_borrow(|define| compile(define, &value, Scope::Constant, &mut Vec::new()));
+    Ok(function.map_err(E::custom)?.as_constant().unwrap_or(f64::NAN))
+}
+
+/// A number; in the file also a constant expression such as `"tan(25*pi/180)"` or, with `day` under `[define]`,
+/// `"20*day"`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd, Serialize)]
 #[serde(transparent)]
 pub struct Number(pub f64);
@@ -66,10 +114,7 @@ impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = match Value::deserialize(deserializer)? {
             Value::Number(value) => value,
-            Value::Expression(text) => {
-                let function = parse(&text, Scope::Constant, &mut |_| None).map_err(de::Error::custom)?;
-                function.as_constant().unwrap_or(f64::NAN)
-            }
+            Value::Expression(text) => constant(&text)?,
         };
         if value.is_finite() { Ok(Self(value)) } else { Err(de::Error::custom("the expression is not finite")) }
     }
@@ -221,8 +266,7 @@ impl<'de> Deserialize<'de> for Tensor {
                 Ok(Tensor::Isotropic(v as f64))
             }
             fn visit_str<E: de::Error>(self, v: &str) -> Result<Tensor, E> {
-                let function = parse(v, Scope::Constant, &mut |_| None).map_err(E::custom)?;
-                Ok(Tensor::Isotropic(function.as_constant().unwrap_or(f64::NAN)))
+                constant(v).map(Tensor::Isotropic)
             }
             fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Tensor, A::Error> {
                 let (mut numbers, mut rows) = (Vec::new(), Vec::new());

@@ -170,6 +170,26 @@ fn contradictions_and_ranges() {
     }
 }
 
+/// What is a number once and for all may use constant definitions.
+#[test]
+fn numbers_use_definitions() {
+    let day = "define = { day = '24*hour', hour = 3600, depth = '10 - y' }";
+    let changes = [day, "time.end = '20*day'", "output.times = ['hour']", "regions.rock.permeability = 'hour*1e-18'"];
+    let model = Document::read("model.toml", GOOD, &[], &changes).unwrap().model;
+    assert_eq!((model.time.end.0, model.output.times[0].0), (1_728_000.0, 3600.0));
+    assert_eq!(model.regions["rock"].permeability, Some(model::Tensor::Isotropic(3600.0 * 1e-18)));
+    assert_all(
+        &problems(GOOD, &[day, "time.end = '20*dya'", "time.step = '-day'", "output.times = ['depth']"]),
+        &[
+            ("time.end = '20*dya':1:12: time.end", "\"dya\" is not known here; only pi and names under [define] are"),
+            ("time.step = '-day':1:13: time.step", "-86400 is out of range; it must be positive"),
+            ("output.times = ['depth']:1:16: output.times", "in \"depth\": \"y\" is not known here"),
+        ],
+    );
+    let found = problems(GOOD, &["define = { day = true }", "time.end = '20*day'"]);
+    assert_all(&found, &[("define = { day = true }:1:18: define.day", "a number or an expression")]);
+}
+
 #[test]
 fn required_keys_depend_on_the_units() {
     let text = "title = ''\nmesh.box = { low = [0, 0], high = [1, 1], cells = [1, 1] }\nregions.rock = {}\n";

@@ -93,17 +93,16 @@ fn find(path: &Path) -> Result<PathBuf, CliError> {
     Err(CliError::NoModel { name: path.display().to_string(), looked })
 }
 
-/// A change with its value in quotes where it is a bare word, which shells take the quotes from.
+/// A change with its value in quotes where it is no TOML without them, as shells take them from words and expressions.
 fn quoted(change: &str) -> String {
-    let is_word = |text: &str| {
-        text.starts_with(|c: char| c.is_alphabetic()) && text.chars().all(|c| c.is_alphanumeric() || "_-.".contains(c))
+    let is_toml = |text: &str| text.parse::<toml::Table>().is_ok();
+    let with_quotes = |(key, value): (&str, &str)| {
+        let value = value.trim();
+        let is_bare = !value.is_empty() && !value.starts_with(['[', '{', '"', '\'']);
+        is_bare.then(|| format!("{key}=\"{value}\"")).filter(|text| is_toml(text))
     };
-    match change.split_once('=') {
-        Some((key, value)) if is_word(value.trim()) && change.parse::<toml::Table>().is_err() => {
-            format!("{key}=\"{}\"", value.trim())
-        }
-        _ => change.to_owned(),
-    }
+    let quoted = if is_toml(change) { None } else { change.split_once('=').and_then(with_quotes) };
+    quoted.unwrap_or_else(|| change.to_owned())
 }
 
 #[cfg(test)]
@@ -111,10 +110,11 @@ mod tests {
     use super::quoted;
 
     #[test]
-    fn bare_words_get_quotes() {
+    fn what_is_no_toml_gets_quotes() {
         assert_eq!(quoted("coupling.split=drained"), "coupling.split=\"drained\"");
+        assert_eq!(quoted("time.end= 20*day"), "time.end=\"20*day\"");
         for change in
-            ["time.step=50", "a=true", "a=nan", "a='b'", "coupling.acceleration.iqn_ils={}", "a=", "a", "a=b c"]
+            ["time.step=50", "a=true", "a=nan", "a='b'", "coupling.acceleration.iqn_ils={}", "a=", "a", "a=[b", "a=b\"c"]
         {
             assert_eq!(quoted(change), change);
         }
