@@ -228,7 +228,7 @@ fn table(flow: &Flow, settings: &Settings) -> Table<FlowUnit> {
         |u, v| v.write(&[u.flow.work().factorisations as i64]),
         None,
     );
-    add_energies(&mut t);
+    add_energies(&mut t, sizes(mesh).energy_unit());
     add_boundaries(&mut t, flow, rate);
     add_wells(&mut t, flow, rate);
     t.add(
@@ -311,9 +311,9 @@ fn add_fields(t: &mut Table<FlowUnit>, start: &Inputs) {
     });
 }
 
-fn add_energies(t: &mut Table<FlowUnit>) {
+fn add_energies(t: &mut Table<FlowUnit>, unit: &'static str) {
     let float = |name: &'static str, about: &'static str| {
-        move |r| Variable::output(r, name, Type::Float64).unit("J").describe(about)
+        move |r| Variable::output(r, name, Type::Float64).unit(unit).describe(about)
     };
     macro_rules! energy {
         ($field:ident, $name:literal, $about:literal) => {

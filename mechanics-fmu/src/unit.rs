@@ -61,7 +61,7 @@ struct Last {
     newton_iterations: i64,
     /// Largest violation of a contact law (Pa).
     violation: f64,
-    /// Terms of the energy balance (J): elastic, external, pressure, friction.
+    /// Terms of the energy balance (J; in 2D J/m): elastic, external, pressure, friction.
     energies: [f64; 4],
     /// The partner's matrix stiffness (Pa) by which the state was found, which its linearised responses need; empty if
     /// it was 0.
@@ -153,7 +153,7 @@ impl MechanicsUnit {
         jump.chunks_exact(d).zip(self.now.state.initial_jump.chunks_exact(d)).map(slip)
     }
 
-    /// Σ μ |σ| slip (N m; in 2D per metre of thickness).
+    /// Σ μ |σ| slip (N m; in 2D N, per metre of thickness).
     fn seismic_moment(&self) -> f64 {
         let mesh = self.mechanics.mesh();
         let rigidity = self.mechanics.fracture_rigidity();
@@ -271,7 +271,7 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
             None,
         );
         t.add(
-            float("seismic_moment", "N.m", "Sum of shear modulus x area x slip since the initial state"),
+            float("seismic_moment", sizes.moment_unit(), "Sum of shear modulus x area x slip since the initial state"),
             |u, v| write(v, &[u.seismic_moment()]),
             None,
         );
@@ -279,7 +279,7 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
             float(
                 "moment_magnitude",
                 "1",
-                "2/3 (log10 of the seismic moment in N.m - 9.1); minus infinity without slip",
+                "2/3 (log10 of the seismic moment in N.m - 9.1), in 2D of one metre; minus infinity without slip",
             ),
             |u, v| write(v, &[2.0 / 3.0 * (u.seismic_moment().log10() - 9.1)]),
             None,
@@ -312,19 +312,20 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
             None,
         );
     }
-    t.add(float("energy.elastic", "J", "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
+    let joule = sizes.energy_unit();
+    t.add(float("energy.elastic", joule, "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
     t.add(
-        float("energy.external_work", "J", "Work of loads and prescribed displacements in the last step"),
+        float("energy.external_work", joule, "Work of loads and prescribed displacements in the last step"),
         |u, v| write(v, &[u.now.last.energies[1]]),
         None,
     );
     t.add(
-        float("energy.pressure_work", "J", "Work of the pressures in the last step"),
+        float("energy.pressure_work", joule, "Work of the pressures in the last step"),
         |u, v| write(v, &[u.now.last.energies[2]]),
         None,
     );
     t.add(
-        float("energy.friction", "J", "Dissipation of friction in the last step"),
+        float("energy.friction", joule, "Dissipation of friction in the last step"),
         |u, v| write(v, &[u.now.last.energies[3]]),
         None,
     );

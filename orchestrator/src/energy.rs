@@ -72,18 +72,21 @@ impl EnergyEstimate {
         Some(terms.iter().sum())
     }
 
-    /// Sees a snapshot and adds to its scalars `energy.slack` (J; in 2D per metre of thickness), `energy.slack_relative`,
-    /// its part of the largest term of all time steps up to now (as coupling fields converge relative to their range up to
-    /// now), and, where two units exchange work, `energy.transfer_error` (J). Nothing where no terms are published.
+    /// Sees a snapshot and adds to its scalars `energy.slack` in the unit of the terms (J; in 2D J/m),
+    /// `energy.slack_relative`, its part of the largest term of all time steps up to now (as coupling fields converge
+    /// relative to their range up to now), and, where two units exchange work, `energy.transfer_error`. Nothing where no
+    /// terms are published.
     pub fn add(&mut self, snapshot: &mut Snapshot) {
         let Some(losses) = self.see(&snapshot.scalars) else { return };
         let transfer = TRANSFER.map(|name| value(&snapshot.scalars, name));
         let error = if let [Some(work), Some(given)] = transfer { Some(work - given) } else { None };
         let slack = losses - error.unwrap_or(0.0);
         let relative = if self.largest > 0.0 { slack / self.largest } else { 0.0 };
-        snapshot.scalars.push(Scalar::new(SLACK[0], "J", slack));
+        let is_term = |s: &&Scalar| TERMS.iter().any(|(name, _)| s.name == *name);
+        let unit = snapshot.scalars.iter().find(is_term).map_or_else(String::new, |s| s.unit.clone());
+        snapshot.scalars.push(Scalar::new(SLACK[0], unit.clone(), slack));
         snapshot.scalars.push(Scalar::new(SLACK[1], "1", relative));
-        snapshot.scalars.extend(error.map(|error| Scalar::new(ERROR, "J", error)));
+        snapshot.scalars.extend(error.map(|error| Scalar::new(ERROR, unit, error)));
     }
 }
 
@@ -117,6 +120,13 @@ mod tests {
         // Relative to the largest term up to now.
         assert_eq!(added(&mut estimate, &spring(9.0, 0.0)), [0.0, 0.0]);
         assert_eq!(added(&mut estimate, &spring(10.0, 0.0)), [-1.0, -1.0 / 12.0]);
+    }
+
+    #[test]
+    fn the_slack_has_the_unit_of_the_terms() {
+        let mut plane = Snapshot { time: 0.0, scalars: vec![Scalar::new("energy.friction", "J/m", 1.0)], arrays: vec![] };
+        EnergyEstimate::default().add(&mut plane);
+        assert_eq!(plane.scalars.iter().map(|s| s.unit.as_str()).collect::<Vec<_>>(), ["J/m", "J/m", "1"]);
     }
 
     /// What one unit gives is what the other gets, up to the transfer error, which is no part of the slack.

@@ -201,6 +201,16 @@ impl Sizes {
             Shape::CellTensors => vec![self.cells, self.dim, self.dim],
         }
     }
+
+    /// Unit of an energy; in 2D per metre of thickness.
+    pub fn energy_unit(&self) -> &'static str {
+        if self.dim == 2 { "J/m" } else { "J" }
+    }
+
+    /// Unit of a moment; in 2D per metre of thickness.
+    pub fn moment_unit(&self) -> &'static str {
+        if self.dim == 2 { "N" } else { "N.m" }
+    }
 }
 
 /// Writes the values of a variable of a unit.
@@ -463,6 +473,7 @@ pub fn units() -> Vec<UnitDefinition> {
         unit("N").kilogram(1).metre(1).second(-2),
         unit("N.m").kilogram(1).metre(2).second(-2),
         unit("J").kilogram(1).metre(2).second(-2),
+        unit("J/m").kilogram(1).metre(1).second(-2),
     ]
 }
 
@@ -554,6 +565,11 @@ mod tests {
         for (i, q) in QUANTITIES.iter().enumerate() {
             assert!(QUANTITIES[..i].iter().all(|other| other.name != q.name));
             assert!(known.contains(&format!("{:?}", q.unit)), "{}", q.unit);
+        }
+        for sizes in [SIZES, Sizes { dim: 2, ..SIZES }] {
+            for unit in [sizes.energy_unit(), sizes.moment_unit()] {
+                assert!(known.contains(&format!("{unit:?}")), "{unit}");
+            }
         }
     }
 
