@@ -538,13 +538,19 @@ impl Mechanics {
             .collect()
     }
 
-    /// Largest |λ_τ|/bound of a face that a state reaches, per face; 0 where open. 1 means slip.
+    /// |λ_τ|/bound of each fracture face; 0 where open, 1 where slipping.
     pub fn slip_tendency(&self, state: &State) -> Vec<f64> {
         (0..self.faces.len())
             .map(|i| {
                 let l = self.local(&state.multiplier, i);
                 let (shear, bound) = (l[1].hypot(l[2]), self.faces[i].bound(l[0]));
-                if shear == 0.0 { 0.0 } else { shear / bound }
+                // By the state: where the bound vanishes, both are round-off.
+                match state.contact[i] {
+                    ContactState::Open => 0.0,
+                    ContactState::Slip => 1.0,
+                    ContactState::Stick if shear == 0.0 => 0.0,
+                    ContactState::Stick => shear / bound,
+                }
             })
             .collect()
     }

@@ -266,7 +266,7 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
             None,
         );
         t.add(
-            float("slip_tendency.max", "1", "Largest |tangential traction| / bound of friction"),
+            float("slip_tendency.max", "1", "Largest |tangential traction| / bound of friction of a closed face"),
             |u, v| write(v, &[u.mechanics.slip_tendency(&u.now.state).into_iter().fold(0.0, f64::max)]),
             None,
         );

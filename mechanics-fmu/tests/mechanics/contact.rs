@@ -255,8 +255,31 @@ fn a_uniform_slip_dissipates_bound_times_slip() {
     let wanted = 0.5 * pressure * slip;
     assert!(pressure > 1e5 && (slip - along).abs() < 0.05 * along, "{pressure} {slip}");
     assert!((report.energy.friction - wanted).abs() < 1e-8 * wanted, "{} not {wanted}", report.energy.friction);
-    let tendency = mechanics.slip_tendency(&next);
-    assert!(tendency.iter().all(|t| (t - 1.0).abs() < 1e-8), "{tendency:?}");
+    assert_eq!(mechanics.slip_tendency(&next), [1.0, 1.0]);
+    assert_eq!(mechanics.slip_tendency(&mechanics.rest(0.0)), [0.0, 0.0]);
+}
+
+/// Where a crack opens, its tractions are round-off, and their ratio says nothing.
+#[test]
+fn an_open_face_has_no_slip_tendency() {
+    for friction in [Friction::None, coulomb(0.5, 0.0).friction] {
+        let mesh = mesh(fractured("triangles"));
+        let mut model = model(&mesh, &FractureLaw { friction, ..coulomb(0.0, 0.0) });
+        hold(&mut model, 2, &["bottom"], |_, _| Vec3::ZERO);
+        hold(&mut model, 2, &["top"], |_, _| Vec3::new(1e-4, 1e-3, 0.0));
+        let mut mechanics = start(&mesh, model);
+        let rest = mechanics.rest(0.0);
+        let (state, _) = step(&mut mechanics, &rest, 1.0, &Partner::uniform(&mesh, 0.0));
+        assert!(state.count(ContactState::Open) > 0);
+        for (tendency, contact) in mechanics.slip_tendency(&state).into_iter().zip(&state.contact) {
+            let allowed = match contact {
+                ContactState::Open => 0.0..=0.0,
+                ContactState::Slip => 1.0..=1.0,
+                ContactState::Stick => 0.0..=1.0,
+            };
+            assert!(allowed.contains(&tendency), "{contact:?}: {tendency}");
+        }
+    }
 }
 
 /// A column with a joint of normal stiffness: λ_n = k_n ⟦u⟧_n, and its energy.
