@@ -124,7 +124,8 @@ mod tests {
 
     #[test]
     fn the_slack_has_the_unit_of_the_terms() {
-        let mut plane = Snapshot { time: 0.0, scalars: vec![Scalar::new("energy.friction", "J/m", 1.0)], arrays: vec![] };
+        let mut plane =
+            Snapshot { time: 0.0, scalars: vec![Scalar::new("energy.friction", "J/m", 1.0)], arrays: vec![] };
         EnergyEstimate::default().add(&mut plane);
         assert_eq!(plane.scalars.iter().map(|s| s.unit.as_str()).collect::<Vec<_>>(), ["J/m", "J/m", "1"]);
     }

@@ -37,6 +37,6 @@ pub use checkpoint::Checkpoint;
 pub use energy::EnergyEstimate;
 pub use error::CouplingError;
 pub use interface::{Connection, FLOW, Field, Interface, MECHANICS, Scheme, Sensitivity};
-pub use record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
+pub use record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord, counted};
 pub use run::{Fields, Run, Settings};
 pub use unit::{StepOutcome, Unit, UnitError};

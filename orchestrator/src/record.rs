@@ -169,3 +169,13 @@ impl fmt::Display for Failure {
         Ok(())
     }
 }
+
+/// A word in the number that goes with a count.
+pub(crate) fn plural(n: usize, word: &str) -> String {
+    format!("{word}{}", if n == 1 { "" } else { "s" })
+}
+
+/// So many of them.
+pub fn counted(n: usize, word: &str) -> String {
+    format!("{n} {}", plural(n, word))
+}

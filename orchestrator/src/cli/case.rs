@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use mesh::Mesh;
 use model::{Document, ForeignUnit};
+use orchestrator::counted;
 
 use super::error::CliError;
 
@@ -59,16 +60,15 @@ impl Case {
     /// A few lines for people.
     pub(crate) fn describe(&self, mesh: &Mesh) -> String {
         let network = mesh.network();
-        let fractures = mesh.data().fractures.len();
         let units = self.document.model.unit_names();
         format!(
-            "{}\n{}D, {} cells, {} faces, {} vertices; {fractures} fracture{}, {} fracture faces\nunits: {}",
+            "{}\n{}D, {} cells, {} faces, {} vertices; {}, {} fracture faces\nunits: {}",
             self.document.model.title,
             mesh.dim(),
             mesh.cell_count(),
             mesh.face_count(),
             mesh.vertices().len(),
-            if fractures == 1 { "" } else { "s" },
+            counted(mesh.data().fractures.len(), "fracture"),
             network.face_count(),
             if units.is_empty() { "none".to_owned() } else { units.join(", ") },
         )
@@ -113,9 +113,17 @@ mod tests {
     fn what_is_no_toml_gets_quotes() {
         assert_eq!(quoted("coupling.split=drained"), "coupling.split=\"drained\"");
         assert_eq!(quoted("time.end= 20*day"), "time.end=\"20*day\"");
-        for change in
-            ["time.step=50", "a=true", "a=nan", "a='b'", "coupling.acceleration.iqn_ils={}", "a=", "a", "a=[b", "a=b\"c"]
-        {
+        for change in [
+            "time.step=50",
+            "a=true",
+            "a=nan",
+            "a='b'",
+            "coupling.acceleration.iqn_ils={}",
+            "a=",
+            "a",
+            "a=[b",
+            "a=b\"c",
+        ] {
             assert_eq!(quoted(change), change);
         }
     }

@@ -23,9 +23,9 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use mesh::Mesh;
 use model::{Document, Model, ModelError, Number};
-use orchestrator::CouplingError;
 use orchestrator::comparison::{Choice, Comparison, Entry, FigureSpec, Outcome};
 use orchestrator::results::Quantity;
+use orchestrator::{CouplingError, counted};
 use serde::Deserialize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -610,8 +610,8 @@ fn make(
     let kept = total - missing.len();
     let speaks = matches!(voice, Voice::Lines | Voice::Bar);
     if speaks {
-        let word = if total == 1 { "run" } else { "runs" };
-        say(&format!("{}: {total} {word}, {kept} of them made before, {jobs} at a time", comparison.title))?;
+        let total = counted(total, "run");
+        say(&format!("{}: {total}, {kept} of them made before, {jobs} at a time", comparison.title))?;
     }
     let bar = if voice == Voice::Bar { ProgressBar::new(total as u64) } else { ProgressBar::hidden() };
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len} runs  {eta} left  {msg}") {

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use orchestrator::{IterationRecord, StepRecord};
+use orchestrator::{IterationRecord, StepRecord, counted};
 use serde_json::json;
 
 use super::error::CliError;
@@ -68,12 +68,11 @@ impl Progress {
         let step = record.attempts.last().map_or(0.0, |a| a.step);
         let line = match self.voice {
             Voice::Lines => format!(
-                "time step {}: t = {} s, step {step} s, {} coupling iterations, {} attempt{}, {:.2} s",
+                "time step {}: t = {} s, step {step} s, {}, {}, {:.2} s",
                 record.number,
                 record.time,
-                iterations.len(),
-                record.attempts.len(),
-                if record.attempts.len() == 1 { "" } else { "s" },
+                counted(iterations.len(), "coupling iteration"),
+                counted(record.attempts.len(), "attempt"),
                 seconds.iter().sum::<f64>(),
             ),
             Voice::Json => json!({

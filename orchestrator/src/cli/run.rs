@@ -10,7 +10,7 @@ use model::Document;
 use orchestrator::fmi::{self, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
 use orchestrator::ssp;
-use orchestrator::{Checkpoint, CouplingError, Interface, Run, Settings, StepRecord, Unit};
+use orchestrator::{Checkpoint, CouplingError, Interface, Run, Settings, StepRecord, Unit, counted};
 use serde_json::json;
 
 use super::case::{Case, as_strs};
@@ -391,9 +391,11 @@ impl Totals {
         let from = if self.first > 0 { format!(" after the first {}", self.first) } else { String::new() };
         let mean = self.iterations as f64 / self.steps.max(1) as f64;
         let mut text = format!(
-            "{} time steps{from} ({} attempts), coupling iterations {mean:.1} on average, {} at most, {} Newton \
-             iterations\nseconds:",
-            self.steps, self.attempts, self.largest, self.newton
+            "{}{from} ({}), coupling iterations {mean:.1} on average, {} at most, {} Newton iterations\nseconds:",
+            counted(self.steps, "time step"),
+            counted(self.attempts, "attempt"),
+            self.largest,
+            self.newton
         );
         for (i, (name, seconds)) in parts.iter().enumerate() {
             text += &format!("{} {name} {seconds:.2}", if i == 0 { "" } else { "," });

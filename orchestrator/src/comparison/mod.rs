@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use figures::{FigureSpec, Kind, Value};
 pub use outcome::{Measures, Outcome};
 
+use crate::counted;
 use crate::results::{ResultsError, files};
 
 /// What is compared.
@@ -115,8 +116,7 @@ impl Row<'_> {
             Ok(outcome) => outcome.failure.as_ref().map_or_else(String::new, |failure| {
                 let last = failure.attempts.last();
                 let what = last.map_or_else(String::new, |a| {
-                    let n = a.iterations.len();
-                    format!(": {} ({n} coupling iteration{})", a.outcome, if n == 1 { "" } else { "s" })
+                    format!(": {} ({})", a.outcome, counted(a.iterations.len(), "coupling iteration"))
                 });
                 format!("at t = {} s{what}", failure.time)
             }),

@@ -8,7 +8,7 @@ use super::chart::{escaped, number, pretty, time};
 use super::plots::{Figure, History};
 use super::{Manifest, Summary};
 use crate::energy::SLACK;
-use crate::record::{Attempt, AttemptOutcome};
+use crate::record::{Attempt, AttemptOutcome, counted, plural};
 
 pub(crate) const STYLE: &str = "
 body{margin:0;background:#f6f7f8;color:#222;font:16px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,'DejaVu Sans',sans-serif}
@@ -17,9 +17,9 @@ h1{font-size:1.7rem;line-height:1.2;margin:.3rem 0}h2{font-size:1.2rem;margin:2r
 p{margin:.4rem 0}.about{max-width:46rem;color:#444}
 .state{display:inline-block;padding:.1rem .7rem;border-radius:1rem;color:#fff;font-size:.9rem;background:#00704f}
 .state.failed{background:#a84300}
-.facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.75rem;margin:1rem 0;padding:0}
+.facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(10.5rem,1fr));gap:.75rem;margin:1rem 0;padding:0}
 .facts div{background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.6rem .8rem}
-.facts b{display:block;font-size:1.35rem;font-weight:600}.facts span{font-size:.85rem;color:#555}
+.facts b{display:block;white-space:nowrap;font-size:1.35rem;font-weight:600}.facts span{font-size:.85rem;color:#555}
 .plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:1rem;align-items:start}
 figure{margin:0;background:#fff;border:1px solid #dfe3e6;border-radius:.5rem;padding:.6rem;break-inside:avoid}
 figure svg{display:block;width:100%;height:auto;max-width:640px;margin:0 auto}
@@ -171,11 +171,13 @@ fn facts(manifest: &Manifest, history: &History, totals: &Totals) -> String {
     let mesh = &manifest.mesh;
     let mut list = vec![
         (grouped(mesh.cells), format!("cells ({}D)", mesh.dimension)),
-        (grouped(mesh.fracture_faces()), format!("faces on {} fractures", mesh.fractures.len())),
-        (grouped(totals.time_steps), "time steps".into()),
-        (number(totals.mean_iterations(history)), "coupling iterations a time step".into()),
-        (grouped(totals.failed_attempts), "failed attempts".into()),
+        (grouped(mesh.fracture_faces()), format!("faces on {}", counted(mesh.fractures.len(), "fracture"))),
+        (grouped(totals.time_steps), plural(totals.time_steps, "time step")),
+        (grouped(totals.failed_attempts), plural(totals.failed_attempts, "failed attempt")),
     ];
+    if !manifest.fields.is_empty() {
+        list.push((format!("{:.1}", totals.mean_iterations(history)), "coupling iterations a time step".into()));
+    }
     for (unit, newton) in manifest.units.iter().zip(&totals.newton) {
         if let Some(newton) = newton {
             list.push((grouped(*newton as usize), format!("Newton iterations, {}", unit.name)));
@@ -232,12 +234,13 @@ fn timings(manifest: &Manifest, totals: &Totals) -> String {
         html +=
             &format!("<tr><th>{name}</th><td class=\"n\">{}</td><td class=\"n\">{each}</td></tr>\n", short(*seconds));
     }
-    let (low, high) = totals.range;
     html += "</tbody></table></div>\n";
-    html + &format!(
-        "<p>{} coupling iterations in all; {low} to {high} in accepted attempts.</p>\n",
-        grouped(totals.iterations)
-    )
+    if !manifest.fields.is_empty() {
+        let (low, high) = totals.range;
+        let all = counted(totals.iterations, "coupling iteration");
+        html += &format!("<p>{all} in all; {low} to {high} in an accepted attempt.</p>\n");
+    }
+    html
 }
 
 /// Attempts that failed before one was accepted.

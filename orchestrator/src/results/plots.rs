@@ -21,6 +21,9 @@ const SHOWN: usize = 6;
 const CURVES: usize = 100;
 /// Fractures whose profiles are drawn, at most.
 const PROFILES: usize = 12;
+const TRACTION: &str = "fracture.traction";
+/// Tractions up to this times the largest violation of a contact law are no more than that: an open fracture's.
+const NOISE: f64 = 10.0;
 /// Name and colour of each contact state, in the order of their numbers.
 const STATES: [(&str, RGBColor); 3] = [("open", BLUE), ("stick", GREY), ("slip", VERMILION)];
 
@@ -121,11 +124,12 @@ pub(crate) fn draw(
             "Mean aperture",
             "aperture",
             &[("aperture.mean", "mean", BLUE)],
+            0,
         )?);
     }
     if wanted(Plot::MeanPressure) {
         let names = [("matrix_pressure.mean", "matrix", BLUE), ("fracture_pressure.mean", "fractures", VERMILION)];
-        figures.extend(series(history, "mean-pressure", "Mean pressures", "pressure", &names)?);
+        figures.extend(series(history, "mean-pressure", "Mean pressures", "pressure", &names, 0)?);
     }
     if wanted(Plot::ContactStates) {
         figures.extend(contact_counts(history)?);
@@ -137,12 +141,13 @@ pub(crate) fn draw(
         figures.extend(profiles(mesh, history, &[("fracture.pressure", "pressure")])?);
     }
     if asked(Plot::FractureProfiles) {
-        let arrays = [("fracture.displacement_jump", "displacement jump"), ("fracture.traction", "traction")];
+        let arrays = [("fracture.displacement_jump", "displacement jump"), (TRACTION, "traction")];
         figures.extend(profiles(mesh, history, &arrays)?);
     }
     if wanted(Plot::Energy) {
         let names = [(SLACK[1], "slack", BLUE)];
-        let figure = series(history, "energy-slack", "Slack of the energy estimate", "slack / largest term", &names)?;
+        let title = "Slack of the energy estimate";
+        let figure = series(history, "energy-slack", title, "slack / largest term", &names, 1)?;
         figures.extend(figure.map(|figure| Figure {
             caption: "What the discrete energy estimate leaves in each time step, as a part of its largest term up to then: \
                       what implicit Euler and closing fractures lose. It is not negative, but for the tolerance of the \
@@ -151,29 +156,32 @@ pub(crate) fn draw(
             ..figure
         }));
     }
-    if wanted(Plot::CouplingConvergence) {
+    if wanted(Plot::CouplingConvergence) && !manifest.fields.is_empty() {
         figures.extend(iterations(history)?);
         figures.extend(convergence(history, failure)?);
     }
     Ok(figures)
 }
 
-/// Scalars of one unit of measure against time; each with its name, label and colour.
+/// Scalars of one unit of measure against time, from time step `first` on; each with its name, label and colour.
 fn series(
     history: &History,
     name: &str,
     title: &str,
     quantity: &str,
     names: &[(&str, &str, RGBColor)],
+    first: usize,
 ) -> Result<Option<Figure>, ResultsError> {
     let found: Vec<_> =
         names.iter().filter_map(|(name, label, color)| Some((history.series(name)?, *label, *color))).collect();
-    let Some((low, high)) = extent(found.iter().flat_map(|f| f.0.1.iter().copied())) else { return Ok(None) };
+    let values = found.iter().flat_map(|f| f.0.1.iter().skip(first).copied());
+    let Some((low, high)) = extent(values) else { return Ok(None) };
     let (x, seconds) = history.time_axis();
     let (factor, unit) = scaled(&found[0].0.0.unit, low.abs().max(high.abs()));
     let curves: Vec<Curve> = (found.iter())
         .map(|((_, values), label, color)| {
-            let points = history.times.iter().zip(values).map(|(t, v)| (t * seconds, v * factor)).collect();
+            let points = history.times.iter().zip(values).skip(first);
+            let points = points.map(|(t, v)| (t * seconds, v * factor)).collect();
             let curve = Curve::new(*label, *color, points);
             // One curve needs no legend.
             if found.len() == 1 { Curve { label: None, ..curve } } else { curve }
@@ -321,6 +329,8 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
     let mut figures = Vec::new();
     let count = if mesh.dim() == 2 { mesh.data().fractures.len().min(PROFILES) } else { 0 };
     let network = mesh.network();
+    let violation = history.series("contact.violation").and_then(|s| extent(s.1.iter().copied()));
+    let noise = NOISE * violation.map_or(0.0, |(_, largest)| largest);
     for fracture in 0..count {
         let faces: Vec<usize> = (0..network.face_count()).filter(|&f| network.fracture[f] == fracture).collect();
         let ends = |&f: &usize| [mesh.face_vertices(network.faces[f])[0], mesh.face_vertices(network.faces[f])[1]];
@@ -333,7 +343,10 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
             let columns = if first.shape == Shape::FractureVectors { 2 } else { 1 };
             let values =
                 found.iter().flat_map(|f| faces.iter().flat_map(|&i| &f.1.values[i * columns..(i + 1) * columns]));
-            let Some((low, high)) = extent(values.copied()) else { continue };
+            let Some((mut low, mut high)) = extent(values.copied()) else { continue };
+            if *name == TRACTION && low.abs().max(high.abs()) <= noise {
+                (low, high) = (-1.0, 1.0);
+            }
             let (factor, unit) = scaled(&first.unit, low.abs().max(high.abs()));
             let mut curves = Vec::new();
             let mut length = 0.0_f64;
@@ -363,17 +376,14 @@ fn profiles(mesh: &Mesh, history: &History, arrays: &[(&str, &str)]) -> Result<V
             let name = &mesh.data().fractures[fracture];
             let mut capital = quantity[..1].to_uppercase();
             capital += &quantity[1..];
-            let parts = if columns == 2 { ": normal part solid, tangential part dashed" } else { "" };
+            let sign = if *name == TRACTION { "in compression" } else { "where open" };
+            let parts = if columns == 2 { format!("; the normal part is negative {sign}") } else { String::new() };
             if columns == 2 {
                 // For the legend only.
-                let points = Vec::new();
-                curves.push(Curve {
-                    label: Some("tangential".into()),
-                    color: INK,
-                    dashed: true,
-                    circles: false,
-                    points,
-                });
+                for (part, dashed) in [("normal", false), ("tangential", true)] {
+                    let label = Some(part.into());
+                    curves.push(Curve { label, color: INK, dashed, circles: false, points: Vec::new() });
+                }
             }
             figures.push(Figure {
                 name: format!("{}-fracture-{}", quantity.replace(' ', "-"), fracture + 1),

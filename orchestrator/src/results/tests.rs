@@ -555,6 +555,40 @@ fn profiles_and_projections_are_drawn_where_they_make_sense() {
     assert!(["x: 1 m", "y: 1 m", "z: 1 m"].iter().all(|label| map.contains(label)));
 }
 
+/// A crack that opens has no tractions but round-off, which is drawn as the zero that it is; one unit alone does not
+/// iterate; the slack is that of time steps, and the start is none.
+#[test]
+fn what_is_no_signal_is_not_drawn_as_one() {
+    let temporary = tempfile::tempdir().unwrap();
+    let (mut manifest, mesh) = coarse();
+    manifest.plots = [model::Plot::FractureProfiles, model::Plot::CouplingConvergence, model::Plot::Energy].into();
+    manifest.fields.clear();
+    let noisy = |number: usize| {
+        let mut snapshot = snapshot(&mesh, number);
+        let traction = snapshot.arrays.iter_mut().find(|a| a.name == "fracture.traction").unwrap();
+        traction.values.iter_mut().for_each(|v| *v *= 1e-17);
+        snapshot.scalars.push(Scalar::new("contact.violation", "Pa", 1e-10));
+        snapshot.scalars.push(Scalar::new("energy.slack_relative", "1", number as f64));
+        snapshot
+    };
+    let path = temporary.path().join("run");
+    let mut folder = Folder::create(&path, &manifest, coarse().1, &noisy(0), false).unwrap();
+    let mut record = record(1);
+    record.attempts[0].iterations.iter_mut().for_each(|iteration| iteration.residuals.clear());
+    folder.append(&record, &noisy(1)).unwrap();
+    let page = fs::read_to_string(folder.finish(&summary()).unwrap()).unwrap();
+    let plot = |name: &str| fs::read_to_string(path.join(PLOTS).join(name));
+    let says = |text: &str, label: &str| text.lines().any(|line| line == label);
+    let traction = plot("traction-fracture-2.svg").unwrap();
+    assert!(says(&traction, "traction (Pa)") && says(&traction, "−1.0"), "{traction}");
+    let jump = plot("displacement-jump-fracture-2.svg").unwrap();
+    assert!(["normal", "tangential"].iter().all(|label| says(&jump, label)));
+    let slack = plot("energy-slack.svg").unwrap();
+    assert_eq!(slack.matches("<circle ").count(), 1);
+    assert!(plot("coupling-iterations.svg").is_err() && plot("coupling-convergence.svg").is_err());
+    assert!(!page.contains("coupling iterations") && page.contains("<b>1</b><span>time step</span>"));
+}
+
 #[test]
 fn the_page_is_whole_and_needs_no_other_file() {
     let temporary = tempfile::tempdir().unwrap();
