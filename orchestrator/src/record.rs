@@ -162,8 +162,9 @@ impl fmt::Display for Failure {
             }
         }
         for field in &self.fields {
-            let (norm, limit, unit) = (field.residual.norm, field.residual.limit, &field.unit);
-            write!(f, "\n  {}: residual {norm:.3e} {unit}, allowed {limit:.3e} {unit}; largest at", field.name)?;
+            let (norm, limit) = (field.residual.norm, field.residual.limit);
+            let unit = if field.unit == "1" { String::new() } else { format!(" {}", field.unit) };
+            write!(f, "\n  {}: residual {norm:.3e}{unit}, allowed {limit:.3e}{unit}; largest at", field.name)?;
             field.entries.iter().try_for_each(|(entry, value)| write!(f, " {entry} ({value:.3e})"))?;
         }
         Ok(())

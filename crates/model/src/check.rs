@@ -121,10 +121,15 @@ impl Model {
         check_time(&self.time, &mut log);
         check_coupling(&self.coupling, &mut log);
         self.check_connections(&mut log);
-        for (i, Number(t)) in self.output.times.iter().enumerate() {
-            if !(self.time.start.0..=self.time.end.0).contains(t) {
-                log.add(format!("output.times.{i}"), format!("{t} s is not within time.start and time.end"));
-            }
+        let (start, end) = (self.time.start.0, self.time.end.0);
+        let outside = self.output.times.iter().filter(|t| !(start..=end).contains(&t.0));
+        let outside: Vec<String> = outside.map(|t| t.0.to_string()).collect();
+        if !outside.is_empty() {
+            let outside = outside.join(", ");
+            let message = format!(
+                "not within time.start and time.end, {start} to {end} s: {outside}; [] writes fields after every time step"
+            );
+            log.add("output.times", message);
         }
         log.0
     }

@@ -212,6 +212,11 @@ struct Reader {
 const GUESSES: [&str; 5] = ["0.5", "1", "'1'", "[]", "{}"];
 /// Where it stands then.
 const NOWHERE: Range<usize> = usize::MAX..usize::MAX;
+/// What toml says of a choice with entries of its own that is only named, and what is said for it.
+const NAME_ALONE: &str = "invalid type: unit variant, expected struct variant";
+const TABLE: &str = "this choice has entries: it must be a table, NAME = {} where all have defaults";
+/// What it says of a choice without a name.
+const EMPTY_CHOICE: &str = "wanted exactly 1 element, found 0 elements";
 /// Times that the tree is read again: more problems than this do not help anyone.
 const MAX_PROBLEMS: usize = 200;
 
@@ -235,12 +240,14 @@ impl Reader {
     }
 
     /// Whether a problem with what was read may come of what was taken out or put in: what stands at, in or around it,
-    /// and uses of a definition.
+    /// what names it, and uses of a definition.
     fn has_caused(&self, key: &str, message: &str) -> bool {
         let within = |inner: &str, outer: &str| {
             outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
         };
-        self.uses_unread(message) || self.changed.iter().any(|changed| within(key, changed) || within(changed, key))
+        let names = |changed: &String| !changed.is_empty() && message.contains(changed);
+        let about = |changed: &String| within(key, changed) || within(changed, key) || names(changed);
+        self.uses_unread(message) || self.changed.iter().any(about)
     }
 
     /// Whether a message complains of a definition that was taken out.
@@ -299,8 +306,13 @@ impl Reader {
                 if !error.message().starts_with("unknown field") {
                     self.changed.push(list.map_or(shown.as_str(), |list| list.0).to_owned());
                 }
-                if !self.uses_unread(error.message()) {
-                    self.problem(shown, Some(found.unwrap_or(span)), error.message().to_owned());
+                let message = error.message();
+                // What is left of a choice whose name was taken out.
+                let is_rest = message == EMPTY_CHOICE
+                    && removed.iter().any(|r| r.rsplit_once('.').is_some_and(|(around, _)| around == path));
+                if !is_rest && !self.uses_unread(message) {
+                    let message = if message == NAME_ALONE { TABLE } else { message };
+                    self.problem(shown, Some(found.unwrap_or(span)), message.to_owned());
                 }
             }
             if path.is_empty() || !remove(&mut tree, &path) {

@@ -148,7 +148,10 @@ fn contradictions_and_ranges() {
     ];
     // `aitken` takes a table, which does not hide the rest.
     let found = problems(GOOD, &changes);
-    assert!(found.len() > 10 && found.iter().any(|f| f.contains("expected struct variant")), "{found:#?}");
+    assert!(
+        found.len() > 10 && found.iter().any(|f| f.contains("acceleration: this choice has entries")),
+        "{found:#?}"
+    );
     let mut changes = changes;
     changes[7] = "coupling = { loose = true, acceleration.aitken = {}, criteria.p = { tolerance = 0, floor = 1 } }";
     let found = problems(GOOD, &changes);
@@ -186,6 +189,17 @@ fn numbers_use_definitions() {
             ("output.times = ['depth']:1:16: output.times", "in \"depth\": \"y\" is not known here"),
         ],
     );
+    // What comes of another problem is not told again, as that the name of a choice is not known, and that it has none.
+    let found = problems(GOOD, &["output.times = [5]", "time.end = 'q'", "coupling.acceleration.foo = {}"]);
+    assert_all(
+        &found,
+        &[
+            ("time.end = 'q':1:12: time.end", "\"q\" is not known here"),
+            ("coupling.acceleration.foo = {}:1:23: coupling.acceleration.foo", "unknown variant `foo`"),
+        ],
+    );
+    let found = problems(GOOD, &["output.times = [5, 20, 30]"]);
+    assert_all(&found, &[("output.times = [5, 20, 30]:1:16: output.times", "0 to 10 s: 20, 30; []")]);
     let found = problems(GOOD, &["define = { day = true }", "time.end = '20*day'"]);
     assert_all(&found, &[("define = { day = true }:1:18: define.day", "a number or an expression")]);
 }

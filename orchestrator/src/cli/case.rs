@@ -89,7 +89,9 @@ fn find(path: &Path) -> Result<PathBuf, CliError> {
     if let Some(folder) = folders.iter().find(|folder| folder.join(FILE).is_file()) {
         return Ok(folder.clone());
     }
-    let looked = folders.iter().map(|folder| folder.join(FILE)).collect();
+    // They are one where the path is absolute.
+    let mut looked: Vec<PathBuf> = folders.iter().map(|folder| folder.join(FILE)).collect();
+    looked.dedup();
     Err(CliError::NoModel { name: path.display().to_string(), looked })
 }
 

@@ -177,7 +177,7 @@ struct ModelArguments {
     /// A variant of the model; several are laid over it in their order
     #[arg(long, value_name = "NAME")]
     variant: Vec<String>,
-    /// A change of the model, as time.step=50; values are TOML
+    /// A change of the model, as time.step=50 or initial.pressure=1e5*y; values are TOML or expressions
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
 }

@@ -22,7 +22,8 @@ pub(crate) fn places(failure: &Failure, mesh: &Mesh) -> String {
                 continue;
             };
             // Writing to text cannot fail.
-            let _ = write!(text, "\n  {}: {what} is at ({:.6}, {:.6}, {:.6}) m", field.name, x.x, x.y, x.z);
+            let x = x.to_array()[..mesh.dim()].iter().map(|x| format!("{x:.6}")).collect::<Vec<_>>().join(", ");
+            let _ = write!(text, "\n  {}: {what} is at ({x}) m", field.name);
         }
     }
     text

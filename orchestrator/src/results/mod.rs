@@ -254,6 +254,9 @@ impl Folder {
     pub fn reopen(path: impl AsRef<Path>, last: Option<usize>) -> Result<Self, ResultsError> {
         let clock = Instant::now();
         let path = path.as_ref();
+        if !path.join(MANIFEST).is_file() {
+            return Err(ResultsError::Foreign(path.to_owned()));
+        }
         let manifest = Manifest::read(&path.join(MANIFEST))?;
         let file = path.join(MESH);
         let mesh = Mesh::new(mesh_io::read_hdf5(&file)?).map_err(|error| ResultsError::damaged(&file, error))?;
