@@ -15,6 +15,14 @@ pub enum CouplingError {
         /// What went wrong.
         error: UnitError,
     },
+    /// The interface couples or connects more units than there are.
+    #[error("the interface is between {expected} units, not {found}")]
+    Units {
+        /// How many it speaks of.
+        expected: usize,
+        /// How many there are.
+        found: usize,
+    },
     /// Iterating needs units that roll back.
     #[error("{unit} cannot roll back: only loose coupling is possible with it")]
     RollBack {

@@ -162,18 +162,13 @@ impl Interface {
 }
 
 impl Scheme {
-    /// Without the sensitivities that the units do not both have. Tells whether one is missed.
-    pub(crate) fn fitted(mut self, interface: &Interface) -> (Self, bool) {
-        let mut misses = false;
+    /// Without units of whose sensitivities none is there for both.
+    pub(crate) fn fitted(mut self, interface: &Interface) -> Self {
         for unit in 0..interface.coupled {
             let mut own = interface.given_by(unit).map(|f| interface.fields[f].sensitivity.is_some()).peekable();
-            if self.connected[unit] && own.peek().is_some() {
-                let has: Vec<bool> = own.collect();
-                misses |= has.contains(&false);
-                self.connected[unit] = has.contains(&true);
-            }
+            self.connected[unit] &= own.peek().is_none() || own.any(|has| has);
         }
-        (self, misses)
+        self
     }
 }
 

@@ -1,5 +1,6 @@
 //! The loop over time steps and coupling iterations.
 
+mod estimate;
 mod newton_krylov;
 
 use std::time::Instant;
@@ -9,10 +10,11 @@ use model::{Acceleration, Coupling, Extrapolation, Norm, Number, Refresh, Time};
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
 use crate::error::CouplingError;
-use crate::interface::{Connection, Interface, Scheme};
+use crate::interface::{Connection, Field, Interface, Scheme};
 use crate::record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
 use crate::time::{Pace, TimeControl};
 use crate::unit::{StepOutcome, Unit, UnitError};
+use estimate::Estimate;
 use newton_krylov::{At, Search, reference_of, scatter};
 
 /// The values of all fields of an interface.
@@ -24,9 +26,6 @@ const DIVERGED: f64 = 1e8;
 /// far off, what it believes of its partner leads too far, as to apertures below zero. Sensitivities have no part in the
 /// solution, and a smaller time step would be another solution.
 const TRUST: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
-/// Where residuals shrink by less than this from one plain pass to the next, by round-off as a rule, the error is taken as
-/// that of this contraction.
-const SLOWEST: f64 = 0.999;
 /// Entries that the report of a failure names for each field.
 const REPORTED: usize = 5;
 
@@ -59,17 +58,18 @@ impl Settings {
     /// Adapts the coupling to units that lack sensitivities which the split connects, and says how.
     #[must_use]
     pub fn fitted(mut self, interface: &Interface) -> (Self, Option<String>) {
-        let (scheme, misses) = self.scheme.fitted(interface);
-        self.scheme = scheme;
-        if !misses {
+        let connected = self.scheme.connected;
+        let lacks = |f: &&Field| connected[f.from] && f.sensitivity.is_none();
+        let lacking: Vec<&str> = interface.fields.iter().filter(lacks).map(|f| f.name.as_str()).collect();
+        self.scheme = self.scheme.fitted(interface);
+        if lacking.is_empty() {
             return (self, None);
         }
-        let lacking = interface.fields.iter().filter(|f| f.sensitivity.is_none()).map(|f| f.name.as_str());
         let [before, now] =
-            if scheme.first == crate::FLOW { ["fixed stress", "fixed strain"] } else { ["undrained", "drained"] };
+            if self.scheme.first == crate::FLOW { ["fixed stress", "fixed strain"] } else { ["undrained", "drained"] };
         let mut note = format!(
             "the units do not both have the sensitivities of {}: for these fields the split {before} becomes {now}",
-            lacking.collect::<Vec<_>>().join(", "),
+            lacking.join(", "),
         );
         // Such a unit has no derivatives as a rule, and Newton's method would repeat its time steps for their differences.
         let plain = [Acceleration::None, Acceleration::default()].contains(&self.coupling.acceleration);
@@ -117,7 +117,7 @@ impl Run {
     /// Starts from units that stand at the start time, in the order of the interface's numbers.
     ///
     /// # Errors
-    /// [`CouplingError::RollBack`] where one of two coupled units cannot roll back and coupling is not loose;
+    /// [`CouplingError::Units`] where there are fewer than the interface is between; [`CouplingError::RollBack`] where one of two coupled units cannot roll back and coupling is not loose;
     /// [`CouplingError::Unit`]; [`CouplingError::Length`].
     pub fn new(
         units: impl Into<Vec<Box<dyn Unit>>>,
@@ -161,6 +161,11 @@ impl Run {
         settings: Settings,
         state: Option<State>,
     ) -> Result<Self, CouplingError> {
+        let connected = interface.connections.iter().map(|c| c.from.0.max(c.to.0) + 1);
+        let expected = connected.fold(interface.coupled, usize::max);
+        if units.len() < expected {
+            return Err(CouplingError::Units { expected, found: units.len() });
+        }
         let iterates = interface.coupled > 1 && !settings.coupling.loose;
         if let Some(unit) = units[..interface.coupled].iter().find(|unit| iterates && !unit.can_roll_back()) {
             return Err(CouplingError::RollBack { unit: unit.name().into() });
@@ -344,6 +349,7 @@ impl Run {
         // The last fields as they came, for where a unit refuses what acceleration made of them.
         let mut plain = None;
         let mut search = Search::default();
+        let mut estimate = Estimate::default();
         for iteration in 1..=max_iterations {
             if iteration > 1 {
                 self.each_coupled(|unit| unit.restore())?;
@@ -369,9 +375,11 @@ impl Run {
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             record.residuals = self.residuals(&residual);
             let ratio = record.ratio();
-            let last = attempt.iterations.last().map(|last| &last.residuals[..]);
-            let converged = record.residuals.iter().all(FieldResidual::holds)
-                && last.is_none_or(|last| has_settled(acceleration, last, &record.residuals));
+            let weight = |f: usize| 1.0 / self.scale(f) / (fields[f].len() as f64).sqrt();
+            let newton = matches!(acceleration, Acceleration::NewtonKrylov { .. });
+            let error = estimate.see(&fields, &residual, &accelerated, &weight, newton);
+            let errors = error.map_or_else(Vec::new, |error| self.residuals(&error));
+            let converged = record.residuals.iter().chain(&errors).all(FieldResidual::holds);
             watch(end, iteration, &record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
@@ -391,6 +399,7 @@ impl Run {
                 attempt.iterations.push(record);
                 // A pass with other sensitivities says nothing about those to come.
                 self.state.accelerator.begin();
+                estimate = Estimate::default();
                 (plain, x) = (None, fields);
                 continue;
             }
@@ -613,20 +622,6 @@ impl Run {
         let minimum = can_roll_back.then(|| self.control.minimum());
         Failure { time: self.state.time, minimum, attempts, fields }
     }
-}
-
-/// Whether a plain iteration is as near to its end as the residuals say. With x ← x + ω r and |r| shrinking by ρ in a pass, the
-/// error of G(x) is about (ω/(1 − ρ) − 1) r, many times r where the contraction is slow.
-fn has_settled(acceleration: Acceleration, last: &[FieldResidual], now: &[FieldResidual]) -> bool {
-    let omega = match acceleration {
-        Acceleration::None => 1.0,
-        Acceleration::Relaxation { factor } => factor.0,
-        _ => return true,
-    };
-    last.iter().zip(now).all(|(last, now)| {
-        let rho = (now.norm / last.norm).min(SLOWEST);
-        (omega / (1.0 - rho) - 1.0).abs() * now.norm <= now.limit
-    })
 }
 
 /// Widens ranges to hold the values of fields.
