@@ -21,8 +21,8 @@ use crate::error::{MechanicsError, ModelProblem};
 use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
 use crate::space::{CellOperators, CellUnknowns, Space};
 
-/// Cells that a thread works on before their matrices are added up; so many local matrices are in memory.
-const BATCH: usize = 2048;
+/// Cells that a thread works on before their matrices are added up, in 2D and 3D: about as much memory in both.
+const BATCH: [usize; 2] = [2048, 512];
 
 /// A prescribed unknown.
 pub(crate) struct Fixed {
@@ -245,12 +245,10 @@ fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<DenseSy
 }
 
 /// What a run of cells adds to the system, one behind the other.
-#[derive(Default)]
 struct CellParts {
     stiffness: CellMatrices,
-    /// div_K, as (unknown, value), and the end of each cell.
-    divergence: Vec<(u32, f64)>,
-    divergence_ends: Vec<usize>,
+    /// div_K: cells × unknowns.
+    divergence: Csr,
     /// Entries in rows of fixed unknowns.
     fixed: Vec<(u32, u32, f64)>,
 }
@@ -267,11 +265,14 @@ fn assemble(
     let dim = space.dim();
     let mut row_of_fixed = vec![None; free_of_unknown.len()];
     fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
-    let compute = |run: Range<usize>| {
-        let mut parts = CellParts::default();
+    // By value: neighbours in a list would share a cache line between threads.
+    let compute = |run: &Range<usize>, mut parts: CellParts| -> Result<CellParts, linear::Error> {
+        parts.stiffness.clear();
+        parts.divergence.clear();
+        let mut row: Vec<(u32, f64)> = Vec::new();
         let (mut operators, mut unknowns) = (CellOperators::default(), CellUnknowns::default());
         let (mut full, mut numbers) = (Vec::new(), Vec::new());
-        for cell in run {
+        for cell in run.clone() {
             space.fill_operators(mesh, cell, &mut operators);
             space.fill_unknowns(mesh, cell, &mut unknowns);
             let m = materials[cell];
@@ -293,35 +294,38 @@ fn assemble(
                 let entry = |(i, j): (usize, usize)| full[i * numbers.len() + j];
                 parts.stiffness.push(blocks, free.iter().flat_map(|&i| free.iter().map(move |&j| entry((i, j)))));
             }
-            let own = parts.divergence.len();
             let components = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim));
+            row.clear();
             if unknowns.bubbles.is_none() {
-                parts.divergence.extend(numbers.iter().copied().zip(components));
+                row.extend(numbers.iter().copied().zip(components));
             } else {
                 let reduced = unknowns.reduce_vector(components.collect());
-                parts.divergence.extend(numbers.iter().copied().zip(reduced));
+                row.extend(numbers.iter().copied().zip(reduced));
             }
-            parts.divergence[own..].sort_unstable_by_key(|&(column, _)| column);
-            parts.divergence_ends.push(parts.divergence.len());
+            row.sort_unstable_by_key(|&(column, _)| column);
+            parts.divergence.push_row(row.iter().copied())?;
         }
-        parts
+        Ok(parts)
     };
     let mut fixed_triplets = Vec::new();
     let mut divergence = Csr::empty(free_of_unknown.len())?;
-    let runs: Vec<Range<usize>> =
-        (0..mesh.cell_count().div_ceil(BATCH)).map(|k| k * BATCH..mesh.cell_count().min((k + 1) * BATCH)).collect();
-    for runs in runs.chunks(rayon::current_num_threads()) {
-        let parts: Vec<CellParts> = runs.par_iter().cloned().map(compute).collect();
-        let mut matrices = Vec::with_capacity(parts.len());
-        for mut part in parts {
-            let mut start = 0;
-            for end in part.divergence_ends {
-                divergence.push_row(part.divergence[start..end].iter().copied())?;
-                start = end;
-            }
-            fixed_triplets.append(&mut part.fixed);
-            matrices.push(part.stiffness);
+    let without_bubbles = (0..mesh.cell_count()).map(|cell| dim * mesh.nodes().of_cell(cell).len()).sum();
+    divergence.reserve(mesh.cell_count(), without_bubbles);
+    let mut parts = (0..rayon::current_num_threads())
+        .map(|_| {
+            let divergence = Csr::empty(free_of_unknown.len())?;
+            Ok(CellParts { stiffness: CellMatrices::default(), divergence, fixed: Vec::new() })
+        })
+        .collect::<Result<Vec<CellParts>, linear::Error>>()?;
+    let (cells, batch) = (mesh.cell_count(), BATCH[dim - 2]);
+    let runs: Vec<Range<usize>> = (0..cells).step_by(batch).map(|k| k..cells.min(k + batch)).collect();
+    for runs in runs.chunks(parts.len()) {
+        parts = parts.into_par_iter().zip(runs).map(|(parts, run)| compute(run, parts)).collect::<Result<_, _>>()?;
+        for parts in &mut parts {
+            divergence.append(&parts.divergence)?;
+            fixed_triplets.append(&mut parts.fixed);
         }
+        let matrices: Vec<&CellMatrices> = parts.iter().map(|parts| &parts.stiffness).collect();
         stiffness.add_cells(&matrices)?;
     }
     divergence.shrink();

@@ -83,6 +83,35 @@ impl Csr {
         Ok(())
     }
 
+    /// Appends the rows of a matrix with as many columns.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::TooLarge`].
+    pub fn append(&mut self, other: &Self) -> Result<(), Error> {
+        check_len("columns", self.cols, other.cols)?;
+        let entries = self.col_idx.len();
+        index(self.row_ptr.len() + other.rows())?;
+        index(entries + other.col_idx.len())?;
+        self.row_ptr.extend(other.row_ptr[1..].iter().map(|&end| entries as u32 + end));
+        self.col_idx.extend_from_slice(&other.col_idx);
+        self.values.extend_from_slice(&other.values);
+        Ok(())
+    }
+
+    /// Forgets the rows and keeps the memory.
+    pub fn clear(&mut self) {
+        self.row_ptr.truncate(1);
+        self.col_idx.clear();
+        self.values.clear();
+    }
+
+    /// Makes room for further rows and entries.
+    pub fn reserve(&mut self, rows: usize, entries: usize) {
+        self.row_ptr.reserve_exact(rows);
+        self.col_idx.reserve_exact(entries);
+        self.values.reserve_exact(entries);
+    }
+
     /// Gives back the memory that further rows would take.
     pub fn shrink(&mut self) {
         self.row_ptr.shrink_to_fit();

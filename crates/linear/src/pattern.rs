@@ -207,8 +207,9 @@ impl Pattern {
                         let skip = if a == b { c } else { 0 };
                         let start = self.col_ptr[own.start + c] as usize + offset + skip - c - first;
                         let values = &mut values[start..start + rows.len() - skip];
-                        for (r, value) in (skip..).zip(values) {
-                            *value += local[(at_row + r) * width + at_column + c];
+                        let from = (at_column + c) * width + at_row + skip;
+                        for (value, add) in values.iter_mut().zip(&local[from..from + rows.len() - skip]) {
+                            *value += add;
                         }
                     }
                 }
@@ -235,6 +236,13 @@ pub struct CellMatrices {
 }
 
 impl CellMatrices {
+    /// Forgets the cells and keeps the memory.
+    pub fn clear(&mut self) {
+        self.blocks.clear();
+        self.values.clear();
+        self.ends.clear();
+    }
+
     /// Appends a cell, as [`SparseSymmetric::add`] takes it.
     pub fn push(&mut self, blocks: impl IntoIterator<Item = u32>, local: impl IntoIterator<Item = f64>) {
         self.blocks.extend(blocks);
@@ -295,7 +303,7 @@ impl SparseSymmetric {
     /// Adds the dense symmetric contribution of a cell.
     ///
     /// `local` is a square matrix by rows over the unknowns of `blocks`, in the order of that list.
-    /// Only one triangle per pair of unknowns is read: the one whose row is the larger global
+    /// Only one triangle per pair of unknowns is read: the one whose column is the larger global
     /// unknown. A block may occur twice, its contributions are then all added.
     ///
     /// # Errors
@@ -310,7 +318,7 @@ impl SparseSymmetric {
     ///
     /// # Errors
     /// Those of [`SparseSymmetric::add`]; some of the contributions may then have been added.
-    pub fn add_cells(&mut self, parts: &[CellMatrices]) -> Result<(), Error> {
+    pub fn add_cells(&mut self, parts: &[&CellMatrices]) -> Result<(), Error> {
         let pattern = &*self.pattern;
         let shares = rayon::current_num_threads();
         let mut pieces = Vec::with_capacity(shares);
