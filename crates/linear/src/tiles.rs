@@ -1,8 +1,8 @@
-//! Dense symmetric matrices by tiles of their lower triangle.
+//! Dense symmetric matrices by tiles of their lower triangle, in single precision or less.
 //!
-//! Tiles on the diagonal are in single precision, the others in 16-bit integers times a scale of the tile: a quarter of the
-//! memory of the lower triangle in double precision, and of the reading per product. Entries are exact to 1.5e-5 of the
-//! largest of their tile, enough for Krylov's method within a method that corrects itself.
+//! A tile whose entries are small beside the diagonal of the matrix is in 16-bit integers times a scale: exact to as much of
+//! the diagonal as single precision is, and half the memory and the reading per product. Of an inverse, which only
+//! preconditions, all tiles but those on the diagonal are.
 //!
 //! The algorithms from a Cholesky factor L to L Lᵀ and to (L Lᵀ)⁻¹ go tile row by tile row (LAPACK's `trtri` and `lauum`), and
 //! each row of the result is packed as soon as it is known. The work is cut by the size of the matrix alone, so results do not
@@ -18,6 +18,8 @@ use rayon::prelude::*;
 
 /// Rows of a tile: three fit into a cache of the second level.
 const TILE: usize = 128;
+/// A tile with no entry above this part of the largest on the diagonal is packed, with errors of 5e-7 of that.
+const SMALL: f32 = 0.03;
 /// Columns of a tile that a product handles together.
 const GROUP: usize = 4;
 /// A product is cut into at most so many parts, of at least so many tiles.
@@ -31,18 +33,35 @@ fn tile_rows(len: usize) -> usize {
 
 /// A dense symmetric matrix for products.
 ///
-/// Made from a factor by [`Cholesky::schur`](crate::Cholesky::schur) and
-/// [`Cholesky::schur_inverse`](crate::Cholesky::schur_inverse).
+/// Made from a factor by [`Cholesky::schur`](crate::Cholesky::schur), exact to about single precision of the largest entry on
+/// the diagonal, and [`Cholesky::schur_inverse`](crate::Cholesky::schur_inverse), exact to 1.5e-5 of the largest of a tile.
 #[derive(Clone, Debug)]
 pub struct DenseSymmetric {
     len: usize,
     /// Rows of a tile.
     tile: usize,
-    /// Tiles (i, i), whole and by columns. The last row and column of tiles are filled up with the identity.
-    diagonal: Vec<f32>,
-    /// Tiles (i, j < i) by rows, each by columns, in units of their scales.
-    below: Vec<i16>,
-    scales: Vec<f32>,
+    /// Tiles (i, j ≤ i) by rows. The last row and column of tiles are filled up with the identity.
+    tiles: Vec<Tile>,
+}
+
+/// A tile by columns; one on the diagonal is whole.
+#[derive(Clone, Debug)]
+enum Tile {
+    Single(Vec<f32>),
+    Packed { values: Vec<i16>, scale: f32 },
+}
+
+impl Tile {
+    /// Packs a tile if no entry is above `limit`.
+    fn new(values: &[f32], limit: f32) -> Self {
+        const LARGEST: f32 = i16::MAX as f32;
+        let largest = values.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
+        if largest > limit {
+            return Self::Single(values.to_vec());
+        }
+        let by = if largest > 0.0 { LARGEST / largest } else { 0.0 };
+        Self::Packed { values: values.iter().map(|v| (v * by).round() as i16).collect(), scale: largest / LARGEST }
+    }
 }
 
 impl DenseSymmetric {
@@ -56,16 +75,8 @@ impl DenseSymmetric {
                 lower.set(j, i, value);
             }
         }
-        let mut result = Self::zeros(len);
-        lower.rows.iter().enumerate().for_each(|(i, row)| result.pack(i, row));
-        result
-    }
-
-    fn zeros(len: usize) -> Self {
-        let tile = tile_rows(len);
-        let (rows, size) = (len.div_ceil(tile), tile * tile);
-        let below = rows * rows.saturating_sub(1) / 2;
-        Self { len, tile, diagonal: vec![0.0; rows * size], below: vec![0; below * size], scales: vec![0.0; below] }
+        let tiles = lower.rows.iter().flat_map(|row| lower.pack(row, 0.0)).collect();
+        Self { len, tile: lower.tile, tiles }
     }
 
     /// Number of rows and columns.
@@ -84,12 +95,10 @@ impl DenseSymmetric {
     /// If there is no such entry.
     pub fn get(&self, i: usize, j: usize) -> f32 {
         let (i, j) = (i.max(j), i.min(j));
-        let (row, column, inside) = (i / self.tile, j / self.tile, (j % self.tile) * self.tile + i % self.tile);
-        if row == column {
-            self.diagonal[row * self.tile * self.tile + inside]
-        } else {
-            let tile = first(row) + column;
-            self.scales[tile] * f32::from(self.below[tile * self.tile * self.tile + inside])
+        let inside = j % self.tile * self.tile + i % self.tile;
+        match &self.tiles[first(i / self.tile) + j / self.tile] {
+            Tile::Single(values) => values[inside],
+            Tile::Packed { values, scale } => scale * f32::from(values[inside]),
         }
     }
 
@@ -98,24 +107,11 @@ impl DenseSymmetric {
     /// # Panics
     /// If there is no such entry.
     pub fn add_to_diagonal(&mut self, i: usize, value: f32) {
-        self.diagonal[i / self.tile * self.tile * self.tile + i % self.tile * (self.tile + 1)] += value;
-    }
-
-    /// Sets tile row `i` to tiles (i, j ≤ i).
-    fn pack(&mut self, i: usize, tiles: &[f32]) {
-        const LARGEST: f32 = i16::MAX as f32;
-        let size = self.tile * self.tile;
-        let (before, own) = tiles.split_at(i * size);
-        self.diagonal[i * size..][..size].copy_from_slice(own);
-        let tiles = first(i)..first(i) + i;
-        let packed = self.below[tiles.start * size..tiles.end * size].par_chunks_exact_mut(size);
-        packed.zip(&mut self.scales[tiles]).zip(before.par_chunks_exact(size)).for_each(|((packed, scale), tile)| {
-            let largest = tile.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
-            if largest > 0.0 {
-                *scale = largest / LARGEST;
-                packed.iter_mut().zip(tile).for_each(|(p, v)| *p = (v / largest * LARGEST).round() as i16);
-            }
-        });
+        let (row, inside) = (i / self.tile, i % self.tile * (self.tile + 1));
+        match &mut self.tiles[first(row) + row] {
+            Tile::Single(values) => values[inside] += value,
+            Tile::Packed { .. } => unreachable!("tiles on the diagonal are not packed"),
+        }
     }
 
     /// y ← A x, both of length `len()`. Tiles where x is zero are not read.
@@ -148,9 +144,9 @@ impl DenseSymmetric {
     }
 }
 
-/// Number of the first tile below the diagonal in tile row `i`.
+/// Number of the first tile in tile row `i`.
 fn first(i: usize) -> usize {
-    i * i.saturating_sub(1) / 2
+    i * (i + 1) / 2
 }
 
 /// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. The last row and column of
@@ -185,10 +181,25 @@ impl Triangle {
         }
     }
 
+    /// The tiles of a row, the last of which is on the diagonal; others without an entry above `limit` are packed.
+    fn pack(&self, row: &[f32], limit: f32) -> Vec<Tile> {
+        let size = self.tile * self.tile;
+        let last = row.len() / size - 1;
+        let limit = |j| if j == last { -1.0 } else { limit };
+        row.par_chunks_exact(size).enumerate().map(|(j, tile)| Tile::new(tile, limit(j))).collect()
+    }
+
+    /// The matrix of rows of tiles, which come one after the other in either order.
+    fn matrix(&self, rows: Vec<Vec<Tile>>) -> DenseSymmetric {
+        DenseSymmetric { len: self.len, tile: self.tile, tiles: rows.into_iter().flatten().collect() }
+    }
+
     /// L Lᵀ, L being this triangle.
     pub(crate) fn square(mut self) -> DenseSymmetric {
-        let size = self.tile * self.tile;
-        let mut result = DenseSymmetric::zeros(self.len);
+        let (t, size) = (self.tile, self.tile * self.tile);
+        let diagonal = (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
+        let limit = SMALL * diagonal.fold(0.0, f32::max);
+        let mut result = Vec::new();
         // Row i of L Lᵀ needs the rows up to i of L.
         while let Some(own) = self.rows.pop() {
             let i = self.rows.len();
@@ -200,9 +211,10 @@ impl Triangle {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
-            result.pack(i, &row);
+            result.push(self.pack(&row, limit));
         }
-        result
+        result.reverse();
+        self.matrix(result)
     }
 
     /// L becomes L⁻¹.
@@ -229,11 +241,11 @@ impl Triangle {
         }
     }
 
-    /// (L Lᵀ)⁻¹, L being this triangle.
+    /// (L Lᵀ)⁻¹, L being this triangle, packed.
     pub(crate) fn inverse(mut self) -> DenseSymmetric {
         self.invert_triangle();
         let size = self.tile * self.tile;
-        let mut result = DenseSymmetric::zeros(self.len);
+        let mut result = Vec::new();
         for i in 0..self.rows.len() {
             // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N.
             let own = std::mem::take(&mut self.rows[i]);
@@ -246,9 +258,9 @@ impl Triangle {
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
-            result.pack(i, &row);
+            result.push(self.pack(&row, f32::INFINITY));
         }
-        result
+        self.matrix(result)
     }
 }
 
@@ -277,20 +289,46 @@ impl WithSimd for TileRows<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { matrix, rows, x, zero, sum } = self;
-        let (t, size) = (matrix.tile, matrix.tile * matrix.tile);
+        let t = matrix.tile;
         for i in rows {
             let (before, own) = sum.split_at_mut(i * t);
             let (own, xi) = (&mut own[..t], &x[i * t..][..t]);
-            for j in (0..i).filter(|&j| !(zero[i] && zero[j])) {
-                let tile = first(i) + j;
-                let (packed, scale) = (&matrix.below[tile * size..][..size], matrix.scales[tile]);
-                add_products(simd, packed, scale, (xi, &x[j * t..][..t]), own, &mut before[j * t..][..t]);
-            }
-            if !zero[i] {
-                add_product(simd, &matrix.diagonal[i * size..][..size], xi, own);
+            for (j, tile) in matrix.tiles[first(i)..first(i + 1)].iter().enumerate() {
+                if zero[i] && zero[j] {
+                    continue;
+                }
+                let xj = &x[j * t..][..t];
+                match tile {
+                    Tile::Single(values) if j == i => add_product(simd, values, xi, own),
+                    Tile::Single(values) => {
+                        let yj = &mut before[j * t..][..t];
+                        for ((columns, xj), yj) in groups(values, xj, yj) {
+                            add_products(simd, columns, 1.0, (xi, xj), own, yj);
+                        }
+                    }
+                    Tile::Packed { values, scale } => {
+                        let mut buffer = [0.0f32; GROUP * TILE];
+                        let yj = &mut before[j * t..][..t];
+                        for ((packed, xj), yj) in groups(values, xj, yj) {
+                            let columns = &mut buffer[..packed.len()];
+                            columns.iter_mut().zip(packed).for_each(|(c, &p)| *c = f32::from(p));
+                            add_products(simd, columns, *scale, (xi, xj), own, yj);
+                        }
+                    }
+                }
             }
         }
     }
+}
+
+/// Groups of columns with the entries of x and y that go with them.
+#[inline(always)]
+fn groups<'a, T>(
+    tile: &'a [T],
+    x: &'a [f32],
+    y: &'a mut [f32],
+) -> impl Iterator<Item = ((&'a [T], &'a [f32]), &'a mut [f32])> {
+    tile.chunks_exact(GROUP * x.len()).zip(x.chunks_exact(GROUP)).zip(y.chunks_exact_mut(GROUP))
 }
 
 /// y += A x.
@@ -308,46 +346,37 @@ fn add_product<S: Simd>(simd: S, tile: &[f32], x: &[f32], y: &mut [f32]) {
     }
 }
 
-/// yi += A xj and yj += Aᵀ xi, A being the packed tile times its scale, which is read once.
+/// yi += A xj and yj += Aᵀ xi, A being a group of columns times a scale, which are read once.
 #[inline(always)]
 fn add_products<S: Simd>(
     simd: S,
-    packed: &[i16],
+    columns: &[f32],
     scale: f32,
     (xi, xj): (&[f32], &[f32]),
     yi: &mut [f32],
     yj: &mut [f32],
 ) {
-    let t = xi.len();
-    let mut buffer = [0.0f32; GROUP * TILE];
-    let columns = &mut buffer[..GROUP * t];
     let (x, x_rest) = S::as_simd_f32s(xi);
     let (y, y_rest) = S::as_mut_simd_f32s(yi);
-    let groups = packed.chunks_exact(GROUP * t).zip(xj.chunks_exact(GROUP)).zip(yj.chunks_exact_mut(GROUP));
-    for ((packed, xj), yj) in groups {
-        for (a, &p) in columns.iter_mut().zip(packed) {
-            *a = f32::from(p);
-        }
-        let mut a: [(&[S::f32s], &[f32]); GROUP] = [(&[], &[]); GROUP];
-        let (mut factors, mut sums) = ([simd.splat_f32s(0.0); GROUP], [simd.splat_f32s(0.0); GROUP]);
+    let mut a: [(&[S::f32s], &[f32]); GROUP] = [(&[], &[]); GROUP];
+    let (mut factors, mut sums) = ([simd.splat_f32s(0.0); GROUP], [simd.splat_f32s(0.0); GROUP]);
+    for (c, column) in columns.chunks_exact(xi.len()).enumerate() {
+        a[c] = S::as_simd_f32s(column);
+        factors[c] = simd.splat_f32s(scale * xj[c]);
+    }
+    for (r, (y, &x)) in y.iter_mut().zip(x).enumerate() {
         for c in 0..GROUP {
-            a[c] = S::as_simd_f32s(&columns[c * t..][..t]);
-            factors[c] = simd.splat_f32s(scale * xj[c]);
+            *y = simd.mul_add_e_f32s(a[c].0[r], factors[c], *y);
+            sums[c] = simd.mul_add_e_f32s(a[c].0[r], x, sums[c]);
         }
-        for (r, (y, &x)) in y.iter_mut().zip(x).enumerate() {
-            for c in 0..GROUP {
-                *y = simd.mul_add_e_f32s(a[c].0[r], factors[c], *y);
-                sums[c] = simd.mul_add_e_f32s(a[c].0[r], x, sums[c]);
-            }
+    }
+    for c in 0..GROUP {
+        let mut sum = simd.reduce_sum_f32s(sums[c]);
+        for ((y, &x), &a) in y_rest.iter_mut().zip(x_rest).zip(a[c].1) {
+            *y += a * scale * xj[c];
+            sum += a * x;
         }
-        for c in 0..GROUP {
-            let mut sum = simd.reduce_sum_f32s(sums[c]);
-            for ((y, &x), &a) in y_rest.iter_mut().zip(x_rest).zip(a[c].1) {
-                *y += a * scale * xj[c];
-                sum += a * x;
-            }
-            yj[c] += scale * sum;
-        }
+        yj[c] += scale * sum;
     }
 }
 
