@@ -39,8 +39,8 @@ const KRYLOV: usize = 40;
 #[derive(Clone, Copy)]
 pub(crate) struct Schur<'a> {
     pub(crate) single: &'a DenseSymmetric,
-    /// S⁻¹, where there is one; made when asked for.
-    pub(crate) inverse: &'a (dyn Fn() -> Option<&'a DenseSymmetric> + Sync),
+    /// S⁻¹, where there is one.
+    pub(crate) inverse: Option<&'a DenseSymmetric>,
     /// y += S x in double precision.
     pub(crate) add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
 }
@@ -65,7 +65,7 @@ struct Weights {
 impl LinearisedProblem<'_, '_> {
     /// The solution to a residual of `target`; `None` where the problem is singular. Counts its work.
     pub(crate) fn solve(&self, b: &[f64], target: f64, report: &mut NewtonReport) -> Option<Vec<f64>> {
-        if let Some(inverse) = (self.schur.inverse)() {
+        if let Some(inverse) = self.schur.inverse {
             let weights: Vec<Weights> = (0..self.laws.len()).map(|face| self.weights(face)).collect();
             let (x, residual) = self.gmres(&|v| self.precondition(inverse, &weights, v), b, target, report);
             if residual <= target {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use linear::{DenseSymmetric, Forward, Scratch};
+use linear::{Forward, Scratch};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -303,8 +303,7 @@ impl Mechanics {
         let partners = self.face_partners(partner);
         let previous_jump = previous.jump(&self.system.space);
         let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
-        let inverse = || self.system.schur_inverse();
-        let problem = self.fracture_problem(&inverse, &add_product);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: self.work.forward.condensed(),
             largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
@@ -347,14 +346,10 @@ impl Mechanics {
         Ok(Outcome::Converged(state, report))
     }
 
-    fn fracture_problem<'a>(
-        &'a self,
-        inverse: &'a (dyn Fn() -> Option<&'a DenseSymmetric> + Sync),
-        add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
-    ) -> FractureProblem<'a, 'a> {
+    fn fracture_problem<'a>(&'a self, add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync)) -> FractureProblem<'a, 'a> {
         FractureProblem {
             dim: self.mesh.dim(),
-            schur: Schur { single: &self.system.schur, inverse, add_product },
+            schur: Schur { single: &self.system.schur, inverse: self.system.inverse.as_ref(), add_product },
             faces: &self.faces,
             settings: self.model.newton,
         }
@@ -683,8 +678,7 @@ impl Mechanics {
     /// The change of the jump for a change of the condensed right-hand side.
     fn jump_response(&self, state: &State, change: &[f64]) -> Result<Vec<f64>, MechanicsError> {
         let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
-        let inverse = || self.system.schur_inverse();
-        let problem = self.fracture_problem(&inverse, &add_product);
+        let problem = self.fracture_problem(&add_product);
         let data = FractureData {
             rhs: change,
             largest_force: 0.0,

@@ -378,7 +378,7 @@ impl FractureProblem<'_, '_> {
         };
         let one = FractureProblem {
             dim: self.dim,
-            schur: Schur { single: &single, inverse: &|| None, add_product: &add_product },
+            schur: Schur { single: &single, inverse: None, add_product: &add_product },
             faces: &self.faces[i..=i],
             settings: self.settings,
         };

@@ -10,7 +10,7 @@
 //! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
 
 use std::ops::Range;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use linear::{CellMatrices, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
@@ -51,7 +51,7 @@ pub struct SetupReport {
     pub assembly: Duration,
     /// Factorisation, its check included.
     pub factorisation: Duration,
-    /// The Schur complement on the fracture, from the factor.
+    /// The Schur complement on the fracture and its inverse, from the factor.
     pub condensation: Duration,
     /// Free unknowns, jumps included.
     pub unknowns: usize,
@@ -73,9 +73,10 @@ pub(crate) struct System {
     /// Rows of A of the fixed unknowns: fixed × unknowns.
     pub(crate) fixed_rows: Csr,
     pub(crate) cholesky: Cholesky,
-    /// Schur complement on the jumps, in single precision.
+    /// Schur complement on the jumps.
     pub(crate) schur: DenseSymmetric,
-    inverse: OnceLock<Option<DenseSymmetric>>,
+    /// Its inverse; `None` with springs, where it may be singular.
+    pub(crate) inverse: Option<DenseSymmetric>,
     pub(crate) factorisations: usize,
     pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
@@ -144,7 +145,7 @@ impl System {
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
         drop(stiffness);
         let factorisation = lap();
-        let schur = schur_without_springs(&cholesky, &springs)?;
+        let (schur, inverse) = schur_without_springs(&cholesky, &springs)?;
         let condensation = lap();
         let memory = cholesky.memory();
         let setup = SetupReport {
@@ -166,7 +167,7 @@ impl System {
             fixed_rows,
             cholesky,
             schur,
-            inverse: OnceLock::new(),
+            inverse,
             factorisations: 1,
             free_of_unknown,
             springs,
@@ -180,13 +181,6 @@ impl System {
         for ((y, x), k) in y.iter_mut().zip(x).zip(&self.springs) {
             *y -= k * x;
         }
-    }
-
-    /// The inverse of the Schur complement in single precision, made on first use; `None` with springs, where it may be
-    /// singular.
-    pub(crate) fn schur_inverse(&self) -> Option<&DenseSymmetric> {
-        let make = || self.cholesky.schur_inverse().ok().filter(|_| self.springs.is_empty());
-        self.inverse.get_or_init(make).as_ref()
     }
 
     /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
@@ -206,8 +200,7 @@ impl System {
         add_springs(&self.space, &self.springs, &mut stiffness)?;
         self.cholesky.refactorise(&stiffness)?;
         drop(stiffness);
-        self.schur = schur_without_springs(&self.cholesky, &self.springs)?;
-        self.inverse = OnceLock::new();
+        (self.schur, self.inverse) = schur_without_springs(&self.cholesky, &self.springs)?;
         self.factorisations += 1;
         Ok(())
     }
@@ -236,12 +229,15 @@ fn add_springs(space: &Space, springs: &[f64], stiffness: &mut SparseSymmetric) 
     Ok(())
 }
 
-fn schur_without_springs(cholesky: &Cholesky, springs: &[f64]) -> Result<DenseSymmetric, MechanicsError> {
-    let mut schur = cholesky.schur()?;
+fn schur_without_springs(
+    cholesky: &Cholesky,
+    springs: &[f64],
+) -> Result<(DenseSymmetric, Option<DenseSymmetric>), MechanicsError> {
+    let (mut schur, inverse) = cholesky.schur()?;
     for (i, k) in springs.iter().enumerate() {
         schur.add_to_diagonal(i, -*k as f32);
     }
-    Ok(schur)
+    Ok((schur, springs.is_empty().then_some(inverse)))
 }
 
 /// What a run of cells adds to the system, one behind the other.

@@ -33,8 +33,8 @@ fn tile_rows(len: usize) -> usize {
 
 /// A dense symmetric matrix for products.
 ///
-/// Made from a factor by [`Cholesky::schur`](crate::Cholesky::schur), exact to about single precision of the largest entry on
-/// the diagonal, and [`Cholesky::schur_inverse`](crate::Cholesky::schur_inverse), exact to 1.5e-5 of the largest of a tile.
+/// Made from a factor by [`Cholesky::schur`](crate::Cholesky::schur): S is exact to about single precision of the largest entry
+/// on the diagonal, S⁻¹ to 1.5e-5 of the largest of a tile.
 #[derive(Clone, Debug)]
 pub struct DenseSymmetric {
     len: usize,
@@ -189,23 +189,23 @@ impl Triangle {
         row.par_chunks_exact(size).enumerate().map(|(j, tile)| Tile::new(tile, limit(j))).collect()
     }
 
-    /// The matrix of rows of tiles, which come one after the other in either order.
+    /// The matrix of rows of tiles.
     fn matrix(&self, rows: Vec<Vec<Tile>>) -> DenseSymmetric {
         DenseSymmetric { len: self.len, tile: self.tile, tiles: rows.into_iter().flatten().collect() }
     }
 
     /// L Lᵀ, L being this triangle.
-    pub(crate) fn square(mut self) -> DenseSymmetric {
+    pub(crate) fn square(&self) -> DenseSymmetric {
         let (t, size) = (self.tile, self.tile * self.tile);
-        let diagonal = (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
+        let diagonal =
+            (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
         let limit = SMALL * diagonal.fold(0.0, f32::max);
         let mut result = Vec::new();
-        // Row i of L Lᵀ needs the rows up to i of L.
-        while let Some(own) = self.rows.pop() {
-            let i = self.rows.len();
-            let mut row = vec![0.0; own.len()];
-            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
-                let other = if j < i { &self.rows[j] } else { &own };
+        let mut row = Vec::new();
+        for own in &self.rows {
+            row.clear();
+            row.resize(own.len(), 0.0);
+            row.par_chunks_exact_mut(size).zip(&self.rows).for_each(|(out, other)| {
                 let mut out = view_mut(out);
                 for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
@@ -213,7 +213,6 @@ impl Triangle {
             });
             result.push(self.pack(&row, limit));
         }
-        result.reverse();
         self.matrix(result)
     }
 
@@ -402,7 +401,7 @@ mod tests {
     fn from_a_factor_to_the_matrix_and_its_inverse() {
         for n in [1, 3, 5, TILE, 2 * TILE + 37, 11 * TILE] {
             let (a, factor, x) = example(n);
-            let (square, inverse) = (factor.clone().square(), factor.inverse());
+            let (square, inverse) = (factor.square(), factor.inverse());
             let identity = Mat::<f64>::identity(n, n);
             let exact = a.llt(faer::Side::Lower).unwrap().solve(&identity);
             for (matrix, exact) in [(&square, &a), (&inverse, &exact)] {
