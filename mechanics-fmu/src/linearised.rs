@@ -38,6 +38,7 @@ const KRYLOV: usize = 40;
 /// The Schur complement of the bulk on the jumps.
 #[derive(Clone, Copy)]
 pub(crate) struct Schur<'a> {
+    /// Good to single precision.
     pub(crate) single: &'a DenseSymmetric,
     /// S⁻¹, where there is one.
     pub(crate) inverse: Option<&'a DenseSymmetric>,
@@ -176,7 +177,7 @@ impl LinearisedProblem<'_, '_> {
     }
 }
 
-/// A v in single precision.
+/// A v, not in double precision.
 pub(crate) fn single_product(a: &DenseSymmetric, v: &[f64]) -> Vec<f32> {
     let x: Vec<f32> = v.iter().map(|&v| v as f32).collect();
     let mut y = vec![0.0; x.len()];

@@ -312,9 +312,7 @@ impl Mechanics {
             partners: &partners,
             guess: previous.history.extrapolate(previous_jump, time - previous.time),
         };
-        // On a thread of the pool, to which each product would else be handed over.
-        let (solution, ()) = rayon::join(|| problem.solve(&data), || ());
-        let solution = solution.map_err(singular)?;
+        let solution = on_the_pool(|| problem.solve(&data)).map_err(singular)?;
         let mut report = StepReport {
             newton: solution.report,
             violation: solution.violation,
@@ -688,7 +686,7 @@ impl Mechanics {
             guess: None,
         };
         let jump = state.jump(&self.system.space);
-        problem.response(&data, jump, &state.multiplier, &state.contact, change).map_err(singular)
+        on_the_pool(|| problem.response(&data, jump, &state.multiplier, &state.contact, change)).map_err(singular)
     }
 
     /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
@@ -815,6 +813,11 @@ impl Mechanics {
             friction,
         })
     }
+}
+
+/// Many short products, each of which would else be handed over to a thread of the pool and back.
+fn on_the_pool<R: Send>(f: impl FnOnce() -> R + Send) -> R {
+    rayon::join(f, || ()).0
 }
 
 fn singular(SingularFracture(states): SingularFracture) -> MechanicsError {

@@ -12,8 +12,8 @@
 //!
 //! A Newton iteration decides the contact states from δ and λ, linearises the laws (see [`crate::contact`]), and solves for
 //! the correction of δ (see [`crate::linearised`]). The forces are computed in double precision, from the factor; the
-//! corrections with copies of S and S⁻¹ in single precision, which is reading and storing half as much. Nothing is kept
-//! from one step to the next: a step repeated from the same state repeats bit for bit.
+//! corrections with copies of S and S⁻¹ in less. Nothing is kept from one step to the next: a step repeated from the same state
+//! repeats bit for bit.
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on. If
@@ -286,7 +286,7 @@ impl FractureProblem<'_, '_> {
         let given: Vec<f64> =
             (0..force.len()).map(|at| if force_of(at).abs() > negligible { correction[at] } else { 0.0 }).collect();
         if given.iter().any(|&g| g != 0.0) {
-            // What single precision leaves, the next iteration sees.
+            // What less than double precision leaves, the next iteration sees.
             force.iter_mut().zip(single_product(self.schur.single, &given)).for_each(|(f, g)| *f += f64::from(g));
         }
         let mut b = vec![0.0; force.len()];
