@@ -17,7 +17,8 @@
 //! which is S⁻¹, restricted to them, where the law is soft beside the bulk, and the inverse of the law where it is stiff. S is an
 //! operator of order 1 on the fracture, as of a hypersingular integral, and S⁻¹ one of order −1. Restricted to a part of the
 //! fracture they are inverse to each other but for a factor that grows with the logarithm of the number of faces (McLean,
-//! Steinbach, Adv. Comput. Math. 1999), so some ten iterations gain three digits on any mesh.
+//! Steinbach, Adv. Comput. Math. 1999; in 3D Hiptmair, Jerez-Hanckes, Urzúa-Torres, ETH SAM report 2016-09), so some ten
+//! iterations gain three digits on any mesh.
 //!
 //! Where there is no S⁻¹, or where that takes too long, T S + H is factorised on the unknown components.
 
