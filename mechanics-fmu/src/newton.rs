@@ -39,6 +39,10 @@ const ROUND_OFF: f64 = 1e-14;
 const SWEEPS: usize = 5;
 /// Cycles after which another β is tried.
 const CYCLES: usize = 3;
+/// A response is refined until what is left is this part of it, well below what differences of time steps tell; each solve
+/// gains a factor of [`FORCING`] as a rule, and is repeated at most [`REFINEMENTS`] times.
+const REFINED: f64 = 1e-11;
+const REFINEMENTS: usize = 4;
 /// After β as set, these multiples of it are tried.
 const BETAS: [f64; 2] = [10.0, 100.0];
 /// λ_0 as a part of Tresca's bound or cohesion, where these must fade: step by step, each solved from the one before.
@@ -328,9 +332,7 @@ impl FractureProblem<'_, '_> {
             law.given = law.given.map(|value| value.map(|_| 0.0));
         }
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
-        // Each solve gains at least a factor of `FORCING`; what an exact derivative needs is well below finite differences.
-        const REFINEMENTS: usize = 4;
-        let mut total = vec![0.0; change.len()];
+        let (mut total, mut last) = (vec![0.0; change.len()], 0.0);
         for _ in 0..REFINEMENTS {
             let mut rest = force.clone();
             (self.schur.add_product)(&total, &mut rest);
@@ -341,6 +343,12 @@ impl FractureProblem<'_, '_> {
             let correction = self.solve_linear(&laws, &rest, &mut NewtonReport::default());
             let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
+            // The next correction would be smaller by the same factor.
+            let size = max_abs(&correction);
+            if size * (size / last).min(1.0) <= REFINED * max_abs(&total) {
+                break;
+            }
+            last = size;
         }
         Ok(total)
     }
