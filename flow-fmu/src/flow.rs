@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::Tensor;
 use crate::error::{FlowError, Problem};
 use crate::model::{Condition, Control, FlowModel, Function, Rock, fail_on};
-use crate::report::{Balance, Energy, Fluxes, Inflow, State, StepReport, WellReport, Work};
+use crate::report::{Balance, Energy, Fluxes, Inflow, State, StepReport, WellReport, Work, timed};
 use crate::scheme::{Coefficients, Evaluation, Scheme};
 use crate::space::Space;
 use crate::wells::{Placed, Spot, place};
@@ -177,7 +177,8 @@ impl Flow {
         let mobility: Vec<Tensor> =
             rocks.iter().map(|r| plane(r.permeability) * model.fluid.viscosity.recip()).collect();
         let weight = model.fluid.density * model.gravity;
-        let scheme = Scheme::new(mesh, space, &mobility, weight, &given)?;
+        let mut work = Work::default();
+        let scheme = Scheme::new(mesh, space, &mobility, weight, &given, &mut work)?;
         let (part, part_is_fixed) = parts(&scheme, &given, &normal_permeability);
 
         let (mesh, space) = (&scheme.mesh, &scheme.space);
@@ -221,7 +222,7 @@ impl Flow {
             factor: None,
             scratch: Scratch::default(),
             solved: None,
-            work: Work { analyses: 1, ..Work::default() },
+            work,
             scheme,
             model,
         })
@@ -490,7 +491,7 @@ impl Flow {
         self.scheme.gather(&load, &mut x);
         self.factorise(c)?;
         let Some(factor) = &self.factor else { return Err(FlowError::NothingSolved) };
-        factor.cholesky.solve(&mut x, &mut self.scratch)?;
+        timed(&mut self.work.solving, || factor.cholesky.solve(&mut x, &mut self.scratch))?;
         self.work.solves += 1;
         let mut traces = vec![0.0; load.len()];
         self.scheme.correct(&mut traces, &x);
@@ -735,8 +736,7 @@ impl Flow {
         let kept = self.factor.take_if(|f| !f.of.same_matrix(c));
         if self.factor.is_none() {
             fail_on(self.check_parts(c))?;
-            let cholesky = self.scheme.factorise(c, kept.map(|f| f.cholesky))?;
-            self.work.factorisations += 1;
+            let cholesky = self.scheme.factorise(c, kept.map(|f| f.cholesky), &mut self.work)?;
             self.factor = Some(Factor { cholesky, of: c.clone() });
         }
         Ok(())
@@ -750,7 +750,7 @@ impl Flow {
         let mut evaluation = self.scheme.evaluate(c, traces, inflow);
         for _ in 0..CORRECTIONS {
             self.scheme.gather(&evaluation.residual, &mut x);
-            factor.cholesky.solve(&mut x, &mut self.scratch)?;
+            timed(&mut self.work.solving, || factor.cholesky.solve(&mut x, &mut self.scratch))?;
             self.work.solves += 1;
             self.scheme.correct(traces, &x);
             evaluation = self.scheme.evaluate(c, traces, inflow);

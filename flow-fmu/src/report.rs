@@ -1,5 +1,7 @@
 //! What is reported of a solved time step.
 
+use std::time::{Duration, Instant};
+
 use serde::{Deserialize, Serialize};
 
 /// The state of the flow: all that the next time step depends on. Cheap to clone.
@@ -111,6 +113,22 @@ pub struct Work {
     pub factorisations: usize,
     /// Solves with a factor.
     pub solves: usize,
+    /// Wall time of orders and symbolic analyses.
+    pub analysis: Duration,
+    /// Of assembly.
+    pub assembly: Duration,
+    /// Of factorisations, their checks included.
+    pub factorisation: Duration,
+    /// Of solves.
+    pub solving: Duration,
+}
+
+/// Adds the wall time of what is done.
+pub(crate) fn timed<T>(sum: &mut Duration, act: impl FnOnce() -> T) -> T {
+    let clock = Instant::now();
+    let result = act();
+    *sum += clock.elapsed();
+    result
 }
 
 /// A solved time step.

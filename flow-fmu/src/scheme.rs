@@ -14,12 +14,14 @@
 //! round-off scales with pressure differences and not with the depth.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use linear::{Method, Ordering, Par, Pattern, SparseSymmetric, Symbolic};
 use mesh::{Mesh, Side, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::report::{Work, timed};
 use crate::local::{Facet, Tensor, transmissivity};
 use crate::space::{Space, fracture_measure};
 
@@ -91,13 +93,14 @@ pub(crate) struct Scheme {
 }
 
 impl Scheme {
-    /// `mobility` is K/η of each region, `given` tells the traces with a given pressure.
+    /// `mobility` is K/η of each region, `given` tells the traces with a given pressure. Counts its analysis.
     pub(crate) fn new(
         mesh: Arc<Mesh>,
         space: Space,
         mobility: &[Tensor],
         weight: Vec3,
         given: &[bool],
+        work: &mut Work,
     ) -> Result<Self, linear::Error> {
         let geometry = mesh.geometry();
         let mut cell_start = vec![0];
@@ -153,10 +156,13 @@ impl Scheme {
                 })
             })
             .collect();
+        let clock = Instant::now();
         let pattern = Arc::new(pattern(&mesh, &space, &unknown, count as usize)?);
         // In 2D minimum degree is as good as nested dissection, and quicker to find.
         let method = if mesh.dim() == 2 { Method::Amd } else { Method::Metis };
         let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &[])?)?);
+        work.analyses += 1;
+        work.analysis += clock.elapsed();
         let system = SparseSymmetric::zeros(pattern);
         Ok(Self {
             cell_start,
@@ -185,17 +191,19 @@ impl Scheme {
         &self.system
     }
 
-    /// Assembles and factorises.
+    /// Assembles and factorises. Counts its work.
     pub(crate) fn factorise(
         &mut self,
         c: &Coefficients,
         factor: Option<linear::Cholesky>,
+        work: &mut Work,
     ) -> Result<linear::Cholesky, linear::Error> {
-        self.assemble(c)?;
-        match factor {
+        timed(&mut work.assembly, || self.assemble(c))?;
+        work.factorisations += 1;
+        timed(&mut work.factorisation, || match factor {
             Some(mut factor) => factor.refactorise(&self.system).map(|()| factor),
             None => linear::Cholesky::new(&self.symbolic, &self.system, Par::rayon(0)),
-        }
+        })
     }
 
     pub(crate) fn assemble(&mut self, c: &Coefficients) -> Result<(), linear::Error> {

@@ -9,8 +9,9 @@
 //! zero and the aperture in contact.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use coupling::{Allowed, Role, Sizes, Table, identifier};
+use coupling::{Allowed, Role, Sizes, Table, Worker, identifier};
 use fmi_unit::{
     Capabilities, DefaultExperiment, Description, Environment, Experiment, Log, Reference, StepOutcome, Type, Unit,
     UnitError, Values, ValuesMut, Variable,
@@ -19,6 +20,7 @@ use mesh::{Mesh, Vec3};
 use model::{Document, Point, Scope, TipDistances};
 use serde::{Deserialize, Serialize};
 
+use crate::report::timed;
 use crate::{
     Boundary, Condition, Control, Flow, FlowError, FlowModel, Fluid, Fracture, Function, Inflow, Inputs, Linearisation,
     Perturbation, Place, Rock, State, StepReport, StiffnessCap, Tensor, Well, WellIndex, WellReport,
@@ -36,6 +38,8 @@ pub struct FlowUnit {
     log: Log,
     settings: Settings,
     report: Arc<StepReport>,
+    /// Wall time of computing.
+    computing: Duration,
 }
 
 /// What the host has set.
@@ -67,7 +71,9 @@ impl FlowUnit {
     pub fn new(document: &Document, mesh: Mesh, log: Log) -> Result<Self, UnitError> {
         let mesh = Arc::new(mesh);
         let fingerprint = mesh.fingerprint();
-        let flow = Flow::new(Arc::clone(&mesh), problem(document, &mesh)?)?;
+        let problem = problem(document, &mesh)?;
+        let mut computing = Duration::ZERO;
+        let flow = timed(&mut computing, || Flow::new(Arc::clone(&mesh), problem))?;
         let sensitivity = &document.model.coupling.sensitivity;
         let caps = [sensitivity.matrix_stiffness_cap.0, sensitivity.fracture_stiffness_cap.0];
         let settings = Settings { inputs: flow.inputs(), caps };
@@ -82,12 +88,8 @@ impl FlowUnit {
             settings,
             report: Arc::new(no_step(&flow)),
             flow,
+            computing,
         })
-    }
-
-    /// The documentation page of the unit.
-    pub fn documentation(&self) -> String {
-        format!("<h1>{}: flow</h1>\n{}", self.title, coupling::documentation(Role::Flow, sizes(self.flow.mesh())))
     }
 
     fn capped(&self, stiffness: &[f64], which: usize) -> Vec<f64> {
@@ -231,6 +233,7 @@ fn table(flow: &Flow, settings: &Settings) -> Table<FlowUnit> {
     add_energies(&mut t, sizes(mesh).energy_unit());
     add_boundaries(&mut t, flow, rate);
     add_wells(&mut t, flow, rate);
+    t.work();
     t.add(
         |r| {
             Variable::parameter(r, "matrix_pressure_stiffness.cap", Type::Float64)
@@ -306,7 +309,8 @@ fn add_fields(t: &mut Table<FlowUnit>, start: &Inputs) {
     t.output("fracture.pressure", |u, v| write(v, u.flow.fracture_pressure()));
     t.output("matrix.pressure_stiffness", |u, v| write(v, &u.capped(&u.flow.matrix_pressure_stiffness(), 0)));
     t.output("fracture.pressure_stiffness", |u, v| {
-        let stiffness = u.flow.fracture_pressure_stiffness(u.last_step())?;
+        let step = u.last_step();
+        let stiffness = timed(&mut u.computing, || u.flow.fracture_pressure_stiffness(step))?;
         write(v, &u.capped(&stiffness, 1))
     });
 }
@@ -426,6 +430,22 @@ fn add_wells(t: &mut Table<FlowUnit>, flow: &Flow, rate: &str) {
     }
 }
 
+impl Worker for FlowUnit {
+    fn work(&self) -> coupling::Work {
+        let work = self.flow.work();
+        coupling::Work {
+            total: self.computing.as_secs_f64(),
+            analysis: work.analysis.as_secs_f64(),
+            assembly: work.assembly.as_secs_f64(),
+            factorisation: work.factorisation.as_secs_f64(),
+            solves: work.solving.as_secs_f64(),
+            newton: 0.0,
+            factorisations: work.factorisations as f64,
+            solve_count: work.solves as f64,
+        }
+    }
+}
+
 impl Unit for FlowUnit {
     type State = Saved;
 
@@ -453,6 +473,11 @@ impl Unit for FlowUnit {
             .time_unit("s")
             .variables(self.table.variables())
             .terminals(self.table.terminals())
+            .documentation(&format!(
+                "<h1>{}: flow</h1>\n{}",
+                self.title,
+                coupling::documentation(Role::Flow, sizes(self.flow.mesh()))
+            ))
     }
 
     fn get(&mut self, variable: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
@@ -482,7 +507,7 @@ impl Unit for FlowUnit {
             let reason = format!("the aperture of fracture face {face} is {aperture:e} m; it must be above 0");
             return Ok(StepOutcome::Discarded(reason));
         }
-        match self.flow.step_to(time + step, step, &self.settings.inputs) {
+        match timed(&mut self.computing, || self.flow.step_to(time + step, step, &self.settings.inputs)) {
             Ok(mut report) => {
                 let made = report.work;
                 self.log.info("solver", format!("t = {} s: {made:?}, {:?}", report.time, report.balance));
@@ -563,7 +588,7 @@ impl Unit for FlowUnit {
         }
         // The pressures at the start depend on no input.
         let response = if self.flow.linearisation().is_some() {
-            self.flow.linearised_response(&direction)?
+            timed(&mut self.computing, || self.flow.linearised_response(&direction))?
         } else {
             crate::Response {
                 matrix_pressure: vec![0.0; sizes.cells],

@@ -14,7 +14,7 @@ use crate::linearised::Schur;
 use crate::model::Model;
 use crate::newton::{FractureData, FractureProblem, NewtonReport, SingularFracture};
 use crate::space::Space;
-use crate::system::{SetupReport, System, boundary_nodes};
+use crate::system::{SetupReport, System, Work, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -163,7 +163,7 @@ pub struct Response {
 
 /// Work space of solves.
 #[derive(Default)]
-struct Work {
+struct Buffers {
     forward: Forward,
     scratch: Scratch,
 }
@@ -176,7 +176,7 @@ pub struct Mechanics {
     faces: Vec<Face>,
     /// The S of the present factorisation; empty for none.
     stiffness_response: Vec<f64>,
-    work: Work,
+    buffers: Buffers,
 }
 
 impl Mechanics {
@@ -214,7 +214,7 @@ impl Mechanics {
                 Face::new(law, measure, local / measure, model.newton.beta_factor, aperture)
             })
             .collect();
-        Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), work: Work::default() })
+        Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), buffers: Buffers::default() })
     }
 
     /// The mesh.
@@ -234,7 +234,12 @@ impl Mechanics {
 
     /// Number of factorisations of the bulk so far: one, and one more for each change of the partner's matrix stiffness.
     pub fn factorisations(&self) -> usize {
-        self.system.factorisations
+        self.system.work.factorisations
+    }
+
+    /// Work done since the mechanics were made.
+    pub fn work(&self) -> Work {
+        self.system.work
     }
 
     /// What the set-up took and made.
@@ -297,7 +302,7 @@ impl Mechanics {
         self.system.fixed_rows.mul_transpose_add(-1.0, &fixed, &mut full)?;
         let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
         lap(&mut times.loads);
-        self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
+        self.system.cholesky.forward(&b, &mut self.buffers.forward, &mut self.buffers.scratch)?;
         lap(&mut times.forward);
 
         let partners = self.face_partners(partner);
@@ -305,7 +310,7 @@ impl Mechanics {
         let add_product = |x: &[f64], y: &mut [f64]| self.system.add_schur_product(x, y);
         let problem = self.fracture_problem(&add_product);
         let data = FractureData {
-            rhs: self.work.forward.condensed(),
+            rhs: self.buffers.forward.condensed(),
             largest_force: b.iter().fold(0.0, |m, f| f.abs().max(m)),
             previous: previous_jump,
             origin: &previous.initial_jump,
@@ -321,15 +326,18 @@ impl Mechanics {
             times,
         };
         lap(&mut report.times.newton);
+        self.system.work.newton += report.times.newton;
         if !solution.converged {
             return Ok(Outcome::NotConverged(report));
         }
         let mut x = vec![0.0; b.len()];
-        self.system.cholesky.backward(&self.work.forward, &solution.jump, &mut x, &mut self.work.scratch)?;
+        self.system.cholesky.backward(&self.buffers.forward, &solution.jump, &mut x, &mut self.buffers.scratch)?;
         for (&u, x) in self.system.free.iter().zip(x) {
             unknowns[u as usize] = x;
         }
         lap(&mut report.times.backward);
+        self.system.work.solving += report.times.forward + report.times.backward;
+        self.system.work.solves += 1;
         let state = State {
             time,
             unknowns,
@@ -631,10 +639,16 @@ impl Mechanics {
         let mut full = vec![0.0; state.unknowns.len()];
         self.add_pressures(&change, state, &mut full)?;
         let b: Vec<f64> = self.system.free.iter().map(|&u| full[u as usize]).collect();
-        self.system.cholesky.forward(&b, &mut self.work.forward, &mut self.work.scratch)?;
-        let jump = self.jump_response(state, self.work.forward.condensed())?;
+        let clock = Instant::now();
+        self.system.cholesky.forward(&b, &mut self.buffers.forward, &mut self.buffers.scratch)?;
+        let forward = clock.elapsed();
+        let jump = self.jump_response(state, self.buffers.forward.condensed())?;
+        let both = clock.elapsed();
         let mut x = vec![0.0; b.len()];
-        self.system.cholesky.backward(&self.work.forward, &jump, &mut x, &mut self.work.scratch)?;
+        self.system.cholesky.backward(&self.buffers.forward, &jump, &mut x, &mut self.buffers.scratch)?;
+        self.system.work.newton += both - forward;
+        self.system.work.solving += forward + (clock.elapsed() - both);
+        self.system.work.solves += 1;
         full.fill(0.0);
         for (&u, x) in self.system.free.iter().zip(x) {
             full[u as usize] = x;

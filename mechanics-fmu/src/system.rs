@@ -61,6 +61,25 @@ pub struct SetupReport {
     pub factor_bytes: [usize; 2],
 }
 
+/// Work done since the mechanics were made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Wall time of orders and symbolic analyses.
+    pub analysis: Duration,
+    /// Of assembly.
+    pub assembly: Duration,
+    /// Of factorisations, their checks and the Schur complements included.
+    pub factorisation: Duration,
+    /// Of triangular solves: both halves.
+    pub solving: Duration,
+    /// Of Newton's method and linearised problems on the fracture.
+    pub newton: Duration,
+    /// Triangular solves.
+    pub solves: usize,
+    /// Factorisations of the bulk.
+    pub factorisations: usize,
+}
+
 /// The assembled operators; vectors over all unknowns are in the numbering of [`Space`].
 pub(crate) struct System {
     pub(crate) space: Space,
@@ -77,7 +96,7 @@ pub(crate) struct System {
     pub(crate) schur: DenseSymmetric,
     /// Its inverse; `None` with springs, where it may be singular.
     pub(crate) inverse: Option<DenseSymmetric>,
-    pub(crate) factorisations: usize,
+    pub(crate) work: Work,
     pub(crate) setup: SetupReport,
     free_of_unknown: Vec<Option<u32>>,
     /// Where only fractures hold a piece of the body, the stiffness (N/m) of springs across each jump, which the factor has
@@ -168,7 +187,7 @@ impl System {
             cholesky,
             schur,
             inverse,
-            factorisations: 1,
+            work: Work { analysis, assembly, factorisation: factorisation + condensation, factorisations: 1, ..Work::default() },
             free_of_unknown,
             springs,
         })
@@ -186,6 +205,7 @@ impl System {
     /// Assembles and factorises anew, with S_K b_K² (Pa) added to λ in the consistent part: the rock whose pressure
     /// follows its porosity.
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
+        let clock = Instant::now();
         let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
         let (fixed_rows, _) = assemble(
             mesh,
@@ -198,10 +218,13 @@ impl System {
         )?;
         self.fixed_rows = fixed_rows;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
+        self.work.assembly += clock.elapsed();
+        let clock = Instant::now();
         self.cholesky.refactorise(&stiffness)?;
         drop(stiffness);
         (self.schur, self.inverse) = schur_without_springs(&self.cholesky, &self.springs)?;
-        self.factorisations += 1;
+        self.work.factorisation += clock.elapsed();
+        self.work.factorisations += 1;
         Ok(())
     }
 }

@@ -5,8 +5,9 @@
 //! parameters that the host has set.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table};
+use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table, Worker};
 use fmi_unit::{
     Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log, Reference, StepOutcome,
     Type, Unit, UnitError, Values, ValuesMut, Variable,
@@ -30,6 +31,9 @@ pub struct MechanicsUnit {
     initial: Initial,
     log: Log,
     now: Now,
+    /// Wall time of computing, and of compliances beside it.
+    computing: Duration,
+    probing: Duration,
 }
 
 /// What the start needs.
@@ -94,7 +98,9 @@ impl MechanicsUnit {
         let at = |points: &[Vec3]| points.iter().map(|&x| pressure.at(&Point::new(x, 0.0))).collect::<Vec<_>>();
         let pressure = Partner { matrix_pressure: at(&cells), fracture_pressure: at(&faces), response: None };
         let sizes = Sizes { cells: cells.len(), fracture_faces: faces.len(), dim: mesh.dim() };
-        let mechanics = Mechanics::new(Arc::clone(&mesh), problem(document, &mesh)?)?;
+        let problem = problem(document, &mesh)?;
+        let mut computing = Duration::ZERO;
+        let mechanics = timed(&mut computing, || Mechanics::new(Arc::clone(&mesh), problem))?;
         let time = &document.model.time;
         let mut state = mechanics.rest(time.start.0);
         mechanics.make_initial(&mut state);
@@ -119,21 +125,14 @@ impl MechanicsUnit {
             log,
             now: Now { state, inputs, last: Arc::default() },
             mechanics,
+            computing,
+            probing: Duration::ZERO,
         })
     }
 
     fn sizes(&self) -> Sizes {
         let mesh = self.mechanics.mesh();
         Sizes { cells: mesh.cell_count(), fracture_faces: mesh.network().face_count(), dim: mesh.dim() }
-    }
-
-    /// The documentation page of the unit.
-    pub fn documentation(&self) -> String {
-        format!(
-            "<h1>{}: contact mechanics</h1>\n{}",
-            self.title,
-            coupling::documentation(Role::Mechanics, self.sizes())
-        )
     }
 
     /// Pressures as the step sees them.
@@ -163,9 +162,9 @@ impl MechanicsUnit {
     }
 
     fn compliance(&mut self) -> Result<Vec<f64>, UnitError> {
-        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
+        timed(&mut self.computing, || self.mechanics.follow(&self.now.last.matrix_stiffness))?;
         let floor = self.now.inputs.compliance_floor;
-        let probed = self.mechanics.aperture_compliance(&self.now.state)?;
+        let probed = timed(&mut self.probing, || self.mechanics.aperture_compliance(&self.now.state))?;
         let scale = self.mechanics.aperture_compliance_scale();
         Ok(probed.iter().zip(scale).map(|(c, scale)| c.max(floor * scale)).collect())
     }
@@ -329,6 +328,7 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
         |u, v| write(v, &[u.now.last.energies[3]]),
         None,
     );
+    t.work();
     t.add(
         |r| {
             Variable::parameter(r, "porosity_compliance.factor", Type::Float64)
@@ -364,6 +364,30 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
     t
 }
 
+impl Worker for MechanicsUnit {
+    fn work(&self) -> coupling::Work {
+        let work = self.mechanics.work();
+        coupling::Work {
+            total: (self.computing + self.probing).as_secs_f64(),
+            analysis: work.analysis.as_secs_f64(),
+            assembly: work.assembly.as_secs_f64(),
+            factorisation: work.factorisation.as_secs_f64(),
+            solves: work.solving.as_secs_f64(),
+            newton: (work.newton + self.probing).as_secs_f64(),
+            factorisations: work.factorisations as f64,
+            solve_count: work.solves as f64,
+        }
+    }
+}
+
+/// Adds the wall time of what is done.
+fn timed<T>(sum: &mut Duration, act: impl FnOnce() -> T) -> T {
+    let clock = Instant::now();
+    let result = act();
+    *sum += clock.elapsed();
+    result
+}
+
 impl Unit for MechanicsUnit {
     type State = Now;
 
@@ -395,6 +419,11 @@ impl Unit for MechanicsUnit {
                 .item("slip", ContactState::Slip as i64)])
             .variables(self.table.variables())
             .terminals(self.table.terminals())
+            .documentation(&format!(
+                "<h1>{}: contact mechanics</h1>\n{}",
+                self.title,
+                coupling::documentation(Role::Mechanics, self.sizes())
+            ))
     }
 
     fn get(&mut self, variable: Reference, values: ValuesMut<'_>) -> Result<(), UnitError> {
@@ -411,7 +440,8 @@ impl Unit for MechanicsUnit {
         let mut state = self.mechanics.rest(experiment.start);
         let mut elastic = 0.0;
         if self.initial.equilibrium {
-            match self.mechanics.step(&state, experiment.start, &self.initial.pressure)? {
+            let (start, pressure) = (experiment.start, &self.initial.pressure);
+            match timed(&mut self.computing, || self.mechanics.step(&state, start, pressure))? {
                 Outcome::Converged(found, report) => {
                     state = found;
                     elastic = report.energy.elastic;
@@ -433,7 +463,7 @@ impl Unit for MechanicsUnit {
 
     fn step(&mut self, time: f64, step: f64) -> Result<StepOutcome, UnitError> {
         let partner = self.partner();
-        match self.mechanics.step(&self.now.state, time + step, &partner)? {
+        match timed(&mut self.computing, || self.mechanics.step(&self.now.state, time + step, &partner))? {
             Outcome::Converged(state, report) => {
                 self.now.state = state;
                 let e = report.energy;
@@ -521,8 +551,10 @@ impl Unit for MechanicsUnit {
                 }
             }
         }
-        self.mechanics.follow(&self.now.last.matrix_stiffness)?;
-        let response = self.mechanics.response(&self.now.state, &matrix, &fracture)?;
+        let response = timed(&mut self.computing, || {
+            self.mechanics.follow(&self.now.last.matrix_stiffness)?;
+            self.mechanics.response(&self.now.state, &matrix, &fracture)
+        })?;
         let mut rest = sensitivity;
         for &unknown in unknowns {
             let (own, after) = rest.split_at_mut(self.table.size(unknown));

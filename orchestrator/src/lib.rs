@@ -22,6 +22,7 @@
 mod acceleration;
 mod checkpoint;
 pub mod comparison;
+mod cost;
 mod energy;
 mod error;
 pub mod fmi;
@@ -34,9 +35,10 @@ mod time;
 mod unit;
 
 pub use checkpoint::Checkpoint;
+pub use cost::Cost;
 pub use energy::EnergyEstimate;
 pub use error::CouplingError;
 pub use interface::{Connection, FLOW, Field, Interface, MECHANICS, Scheme, Sensitivity};
 pub use record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord, counted};
 pub use run::{Fields, Run, Settings};
-pub use unit::{StepOutcome, Unit, UnitError};
+pub use unit::{Calls, StepOutcome, Tally, Unit, UnitError};

@@ -1,6 +1,10 @@
 //! What the coupling needs of a unit: the part of FMI 3.0 co-simulation that it uses.
 
 use std::fmt;
+use std::time::Instant;
+
+use coupling::Work;
+use serde::{Deserialize, Serialize};
 
 /// How a time step of a unit ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,6 +50,64 @@ pub enum UnitError {
         /// What it says.
         message: String,
     },
+}
+
+/// How often something was done, and the wall seconds of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Tally {
+    /// How often.
+    pub count: u64,
+    /// Seconds.
+    pub seconds: f64,
+}
+
+impl Tally {
+    /// Does it, and counts it.
+    pub fn time<T>(&mut self, act: impl FnOnce() -> T) -> T {
+        let clock = Instant::now();
+        let result = act();
+        self.count += 1;
+        self.seconds += clock.elapsed().as_secs_f64();
+        result
+    }
+}
+
+/// Calls of a unit since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Calls {
+    /// Instantiation and initialisation.
+    pub start: Tally,
+    /// Values given.
+    pub set: Tally,
+    /// Values asked for.
+    pub get: Tally,
+    /// Time steps.
+    pub step: Tally,
+    /// Directional derivatives.
+    pub derivative: Tally,
+    /// States kept, restored, and as bytes.
+    pub state: Tally,
+}
+
+impl Calls {
+    /// Those and others.
+    #[must_use]
+    pub fn and(&self, other: &Self) -> Self {
+        let sum = |a: Tally, b: Tally| Tally { count: a.count + b.count, seconds: a.seconds + b.seconds };
+        Self {
+            start: sum(self.start, other.start),
+            set: sum(self.set, other.set),
+            get: sum(self.get, other.get),
+            step: sum(self.step, other.step),
+            derivative: sum(self.derivative, other.derivative),
+            state: sum(self.state, other.state),
+        }
+    }
+
+    /// Seconds of all calls.
+    pub fn seconds(&self) -> f64 {
+        [self.start, self.set, self.get, self.step, self.derivative, self.state].iter().map(|t| t.seconds).sum()
+    }
 }
 
 /// A unit in co-simulation. Variables are arrays, scalars have one entry.
@@ -108,6 +170,16 @@ pub trait Unit {
 
     /// Newton iterations of the last time step, where it tells.
     fn newton_iterations(&mut self) -> Option<u64> {
+        None
+    }
+
+    /// The calls it has had, where they are counted.
+    fn calls(&self) -> Calls {
+        Calls::default()
+    }
+
+    /// What it tells of its computing, where it does.
+    fn work(&mut self) -> Option<Work> {
         None
     }
 

@@ -15,11 +15,13 @@
 
 mod pack;
 mod resources;
+mod work;
 
 use std::fmt::Write as _;
 
 pub use pack::pack_main;
 pub use resources::read_resources;
+pub use work::{WORK, Work, WorkVariable, Worker};
 
 use fmi_unit::{Reference, Terminal, Type, UnitDefinition, UnitError, Values, ValuesMut, Variable};
 

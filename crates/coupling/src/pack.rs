@@ -6,18 +6,14 @@ use std::process::ExitCode;
 use fmi_unit::{Contents, Unit, UnitError};
 
 /// The `main` of a program `pack-… RESOURCES FMU` for a unit whose library is called `library` and lies beside the
-/// program. `icon` is a PNG; `documentation` makes the page (HTML) from the folder of resources.
-pub fn pack_main<U: Unit>(
-    library: &str,
-    icon: &[u8],
-    documentation: impl Fn(&Path) -> Result<String, UnitError>,
-) -> ExitCode {
+/// program. `icon` is a PNG.
+pub fn pack_main<U: Unit>(library: &str, icon: &[u8]) -> ExitCode {
     let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
     let [resources, fmu] = &arguments[..] else {
         eprintln!("two arguments are needed: the folder of the resources, and the FMU to write");
         return ExitCode::from(2);
     };
-    match pack::<U>(library, icon, resources, fmu, &documentation) {
+    match pack::<U>(library, icon, resources, fmu) {
         Ok(token) => {
             println!("{token}");
             ExitCode::SUCCESS
@@ -29,20 +25,12 @@ pub fn pack_main<U: Unit>(
     }
 }
 
-fn pack<U: Unit>(
-    library: &str,
-    icon: &[u8],
-    resources: &Path,
-    fmu: &Path,
-    documentation: &dyn Fn(&Path) -> Result<String, UnitError>,
-) -> Result<String, UnitError> {
+fn pack<U: Unit>(library: &str, icon: &[u8], resources: &Path, fmu: &Path) -> Result<String, UnitError> {
     let name = format!("{}{library}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
     let library = std::env::current_exe()?.with_file_name(name);
     if !library.exists() {
         return Err(format!("the unit's library is not where it was looked for: {}", library.display()).into());
     }
-    let documentation = documentation(resources)?;
-    let contents =
-        Contents { library, resources: Some(resources.to_owned()), documentation, icon: Some(icon.to_vec()) };
+    let contents = Contents { library, resources: Some(resources.to_owned()), icon: Some(icon.to_vec()) };
     Ok(fmi_unit::pack::<U>(fmu, &contents)?)
 }

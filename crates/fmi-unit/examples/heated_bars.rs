@@ -99,6 +99,7 @@ impl Unit for HeatedBars {
         let (bars, cells) = (self.bars, self.cells);
         Description::new("Heated bars", "heated_bars")
             .about("Bars that are heated at one end.")
+            .documentation("<p>An example.</p>")
             .version(env!("CARGO_PKG_VERSION"))
             .capabilities(Capabilities {
                 state: true,

@@ -15,7 +15,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let contents = fmi_unit::Contents {
         library: here.with_file_name(library),
         resources: Some(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/heated_bars_resources")),
-        documentation: "<p>An example.</p>".to_owned(),
         icon: None,
     };
     let token = fmi_unit::pack::<heated_bars::HeatedBars>(&folder.join("heated_bars.fmu"), &contents)?;

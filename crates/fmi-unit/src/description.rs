@@ -33,6 +33,7 @@ pub struct Description {
     pub(crate) enumerations: Vec<Enumeration>,
     pub(crate) variables: Vec<Variable>,
     pub(crate) terminals: Vec<Terminal>,
+    pub(crate) documentation: String,
 }
 
 /// What the unit can do beyond stepping. All are off by default.
@@ -178,6 +179,7 @@ impl Description {
             enumerations: Vec::new(),
             variables: Vec::new(),
             terminals: Vec::new(),
+            documentation: String::new(),
         }
     }
 
@@ -250,6 +252,12 @@ impl Description {
     /// Adds terminals.
     pub fn terminals(mut self, terminals: impl IntoIterator<Item = Terminal>) -> Self {
         self.terminals.extend(terminals);
+        self
+    }
+
+    /// HTML for `documentation/index.html`, before the table of variables.
+    pub fn documentation(mut self, html: &str) -> Self {
+        html.clone_into(&mut self.documentation);
         self
     }
 

@@ -24,8 +24,6 @@ pub struct Contents {
     pub library: PathBuf,
     /// A folder that becomes `resources`.
     pub resources: Option<PathBuf>,
-    /// HTML that is put before the table of variables in `documentation/index.html`.
-    pub documentation: String,
     /// A PNG image.
     pub icon: Option<Vec<u8>>,
 }
@@ -46,7 +44,7 @@ pub fn pack<U: Unit>(path: &Path, contents: &Contents) -> Result<String, Error> 
 
     let mut entries = vec![
         ("modelDescription.xml".to_owned(), model_description(&description, &token).into_bytes()),
-        ("documentation/index.html".to_owned(), page(&description, &contents.documentation).into_bytes()),
+        ("documentation/index.html".to_owned(), page(&description).into_bytes()),
         (library_name(&description), read(&contents.library)?),
     ];
     if contents.icon.is_some() || !description.terminals.is_empty() {
@@ -159,7 +157,8 @@ fn same<S: Clone, T: Value + PartialEq + std::fmt::Debug>(
     Ok(())
 }
 
-fn page(description: &Description, text: &str) -> String {
+fn page(description: &Description) -> String {
+    let text = &description.documentation;
     let title = escape(description.model_name.as_str());
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head><meta charset=\"utf-8\"><title>{title}</title></head>\n\

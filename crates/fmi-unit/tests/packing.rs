@@ -19,7 +19,7 @@ fn contents(folder: &std::path::Path) -> Contents {
     fs::create_dir_all(resources.join("b")).unwrap();
     fs::write(resources.join("size.txt"), "2 2").unwrap();
     fs::write(resources.join("b/mesh"), [0; 10_000]).unwrap();
-    Contents { library, resources: Some(resources), documentation: String::new(), icon: Some(vec![137]) }
+    Contents { library, resources: Some(resources), icon: Some(vec![137]) }
 }
 
 #[test]

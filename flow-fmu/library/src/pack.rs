@@ -2,11 +2,7 @@
 //! is expected beside this program.
 
 use flow_fmu::unit::FlowUnit;
-use fmi_unit::{Log, UnitError};
 
 fn main() -> std::process::ExitCode {
-    coupling::pack_main::<FlowUnit>("flow_unit", include_bytes!("../icon.png"), |folder| {
-        let (document, mesh) = coupling::read_resources(folder)?;
-        Ok::<_, UnitError>(FlowUnit::new(&document, mesh, Log::default())?.documentation())
-    })
+    coupling::pack_main::<FlowUnit>("flow_unit", include_bytes!("../icon.png"))
 }

@@ -1,12 +1,8 @@
 //! Packs the unit: `pack-mechanics RESOURCES FMU`, with `model.toml` and `mesh.h5` in the folder RESOURCES. The library
 //! is expected beside this program.
 
-use fmi_unit::{Log, UnitError};
 use mechanics_fmu::unit::MechanicsUnit;
 
 fn main() -> std::process::ExitCode {
-    coupling::pack_main::<MechanicsUnit>("mechanics_unit", include_bytes!("../icon.png"), |folder| {
-        let (document, mesh) = coupling::read_resources(folder)?;
-        Ok::<_, UnitError>(MechanicsUnit::new(&document, mesh, Log::default())?.documentation())
-    })
+    coupling::pack_main::<MechanicsUnit>("mechanics_unit", include_bytes!("../icon.png"))
 }

@@ -9,6 +9,7 @@
 mod case;
 mod compare;
 mod error;
+mod memory;
 mod pack;
 mod places;
 mod progress;

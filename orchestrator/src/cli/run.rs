@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use coupling::{Role, Sizes};
 use mesh::Mesh;
@@ -10,11 +10,12 @@ use model::Document;
 use orchestrator::fmi::{self, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
 use orchestrator::ssp;
-use orchestrator::{Checkpoint, CouplingError, Interface, Run, Settings, StepRecord, Unit, counted};
+use orchestrator::{Checkpoint, Cost, CouplingError, Interface, Run, Settings, StepRecord, Unit, counted};
 use serde_json::json;
 
 use super::case::{Case, as_strs};
 use super::error::CliError;
+use super::memory::Peaks;
 use super::pack;
 use super::places::places;
 use super::progress::{Progress, Voice, newton, seconds};
@@ -24,6 +25,8 @@ use super::series::Series;
 pub(crate) type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
+/// A run that is killed loses the work of no more than this and a time step: a checkpoint takes as long as a short time step.
+const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(1);
 
 /// Wall seconds of the parts of a run, by name.
 type Seconds = Vec<(String, f64)>;
@@ -195,12 +198,15 @@ pub(crate) fn run(case: &Case, output: &Path, overwrite: bool, voice: Voice) -> 
     if !overwrite && std::fs::read_dir(output).is_ok_and(|mut list| list.next().is_some()) {
         return Err(ResultsError::Exists(output.to_owned()).into());
     }
-    let mut parts = Seconds::new();
+    let (mut parts, mut peaks) = (Seconds::new(), Peaks::default());
     let mesh = timed(&mut parts, "mesh", || case.mesh())?;
+    peaks.take("mesh");
     say(voice, &case.describe(&mesh))?;
     let temporary = pack::temporary("fmus-")?;
     let paths = timed(&mut parts, "packing", || fmus(&case.document, &mesh, temporary.path()))?;
+    peaks.take("packing");
     let mut started = timed(&mut parts, "start of the units", || start(&paths, &case.document, &mesh))?;
+    peaks.take("start of the units");
     let (variants, changes) = (as_strs(&case.variants), as_strs(&case.changes));
     let versions = started.versions.clone();
     let mut manifest =
@@ -212,13 +218,13 @@ pub(crate) fn run(case: &Case, output: &Path, overwrite: bool, voice: Voice) -> 
     keep(&paths, folder.path())?;
     drop(temporary);
     let (run, series) = started.run()?;
-    drive(run, series, &mut folder, voice, parts)
+    drive(run, series, &mut folder, voice, parts, peaks)
 }
 
 /// `orchestrator resume`.
 pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
     let checkpoint = Folder::read_checkpoint(path)?.map(|bytes| Checkpoint::from_bytes(&bytes)).transpose()?;
-    let mut parts = Seconds::new();
+    let (mut parts, mut peaks) = (Seconds::new(), Peaks::default());
     let number = checkpoint.as_ref().map_or(0, Checkpoint::number);
     let mut folder = timed(&mut parts, "reading", || Folder::reopen(path, Some(number)).map_err(CliError::from))?;
     let document = Document::read("manifest.json", &folder.manifest().model.toml, &[], &[])?;
@@ -227,6 +233,7 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
     let paths = timed(&mut parts, "packing", || kept(&folder, &document, temporary.path()))?;
     let mut started = timed(&mut parts, "start of the units", || start(&paths, &document, folder.mesh()))?;
     started.series.goes_on(folder.energy());
+    peaks.take("start of the units");
     let (run, series) = match &checkpoint {
         Some(checkpoint) => {
             let Started { units, interface, settings, series, .. } = started;
@@ -234,7 +241,7 @@ pub(crate) fn resume(path: &Path, voice: Voice) -> Result<(), CliError> {
         }
         None => started.run()?,
     };
-    drive(run, series, &mut folder, voice, parts)
+    drive(run, series, &mut folder, voice, parts, peaks)
 }
 
 /// Copies the units into the results, so that they can be gone on with even where other ones lie beside the program.
@@ -290,6 +297,7 @@ fn drive(
     folder: &mut Folder,
     voice: Voice,
     mut parts: Seconds,
+    mut peaks: Peaks,
 ) -> Result<(), CliError> {
     let model = &folder.manifest().model.toml;
     let end = Document::read("manifest.json", model, &[], &[])?.model.time.end.0;
@@ -297,6 +305,7 @@ fn drive(
     let names: Vec<String> = folder.manifest().units.iter().map(|unit| unit.name.clone()).collect();
     let mut progress = Progress::new(voice, run.time(), end, folder.last(), names.clone());
     let clock = Instant::now();
+    let mut checkpointed = clock;
     let (before, mut checkpoints) = (folder.seconds(), 0.0);
     let mut failure = None;
     while !run.is_finished() {
@@ -304,11 +313,13 @@ fn drive(
             Ok(record) => {
                 let snapshot: Snapshot = series.of(&mut run)?;
                 folder.append(&record, &snapshot)?;
-                let clock = Instant::now();
-                if run.has_checkpoints() {
+                let is_due = checkpointed.elapsed() >= BETWEEN_CHECKPOINTS || run.is_finished();
+                if is_due && run.has_checkpoints() {
+                    let clock = Instant::now();
                     folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
+                    checkpoints += clock.elapsed().as_secs_f64();
+                    checkpointed = Instant::now();
                 }
-                checkpoints += clock.elapsed().as_secs_f64();
                 for unit in run.units() {
                     let messages = unit.take_messages();
                     messages.into_iter().for_each(|message| progress.message(unit.name(), message));
@@ -332,8 +343,11 @@ fn drive(
     let results = folder.seconds() - before;
     let other = (clock.elapsed().as_secs_f64() - inside - results).max(0.0);
     parts.push(("coupling".into(), other));
-    let summary = Summary { failure: failure.as_deref().cloned(), seconds: parts.clone() };
+    peaks.take("time steps");
+    let units: Vec<Cost> = run.units().iter_mut().map(|unit| Cost::of(unit.as_mut())).collect();
+    let summary = Summary { failure: failure.as_deref().cloned(), seconds: parts.clone(), units };
     let page = folder.finish(&summary)?;
+    peaks.take("page and plots");
     if let Some(report) = failure {
         let places = places(&report, folder.mesh());
         let left = format!("\nresults up to t = {} s are in {}", report.time, folder.path().display());
@@ -345,18 +359,22 @@ fn drive(
         Voice::Quiet => Ok(()),
         Voice::Json => {
             let seconds: serde_json::Map<_, _> = parts.into_iter().map(|(name, s)| (name, json!(s))).collect();
+            let costs: serde_json::Map<_, _> =
+                summary.units.iter().map(|cost| (cost.unit.clone(), cost.to_json())).collect();
             let line = json!({ "summary": {
                 "time_steps": totals.steps,
                 "coupling_iterations": totals.iterations,
                 "largest_coupling_iterations": totals.largest,
                 "newton_iterations": totals.newton,
                 "seconds": seconds,
-                "peak_memory": peak_memory(),
+                "units": costs,
+                "peak_memory": peaks.largest(),
+                "peak_memory_of_parts": peaks.of_parts(),
                 "results": folder.path().display().to_string(),
             }});
             writeln!(io::stdout(), "{line}").map_err(CliError::Output)
         }
-        Voice::Bar | Voice::Lines => say(voice, &totals.text(&parts, folder.path(), &page)),
+        Voice::Bar | Voice::Lines => say(voice, &totals.text(&parts, &summary.units, &peaks, folder.path(), &page)),
     }
 }
 
@@ -387,7 +405,7 @@ impl Totals {
         self.seconds.iter_mut().zip(seconds).for_each(|(sum, seconds)| *sum += seconds);
     }
 
-    fn text(&self, parts: &Seconds, folder: &Path, page: &Path) -> String {
+    fn text(&self, parts: &Seconds, units: &[Cost], peaks: &Peaks, folder: &Path, page: &Path) -> String {
         let from = if self.first > 0 { format!(" after the first {}", self.first) } else { String::new() };
         let mean = self.iterations as f64 / self.steps.max(1) as f64;
         let mut text = format!(
@@ -400,7 +418,15 @@ impl Totals {
         for (i, (name, seconds)) in parts.iter().enumerate() {
             text += &format!("{} {name} {seconds:.2}", if i == 0 { "" } else { "," });
         }
-        if let Some(bytes) = peak_memory() {
+        for cost in units {
+            text += &format!("\n{}:", cost.unit);
+            let names = ["a time step", "a derivative", "a triangular solve"];
+            let each = names.into_iter().zip(cost.milliseconds()).filter_map(|(name, ms)| Some((name, ms?)));
+            let each: Vec<String> = each.map(|(name, ms)| format!("{name} {ms:.1} ms")).collect();
+            let parts: Vec<String> = cost.parts().iter().map(|(name, s)| format!("{name} {s:.2}")).collect();
+            text += &format!(" {}; seconds: {}", each.join(", "), parts.join(", "));
+        }
+        if let Some(bytes) = peaks.largest() {
             text += &format!("\npeak memory: {:.0} MB", bytes as f64 / 1e6);
         }
         text += &format!("\nresults: {} (see {})", folder.display(), page.display());
@@ -408,9 +434,3 @@ impl Totals {
     }
 }
 
-/// Largest resident memory (bytes) of this process, where the system tells.
-fn peak_memory() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
-}

@@ -12,6 +12,7 @@ use libloading::Library;
 
 use super::description::{VariableType, Version};
 use super::{fmi2, fmi3};
+use crate::unit::Calls;
 
 pub(crate) type Handle = *mut c_void;
 pub(crate) type Call = unsafe extern "C" fn(Handle) -> c_int;
@@ -157,6 +158,8 @@ pub(crate) struct Instance {
     handle: Handle,
     kept: Handle,
     messages: Box<Messages>,
+    /// What it was called for.
+    pub(crate) calls: Calls,
     functions: Common,
     driver: Box<dyn Driver>,
     // Last: the functions are in it.
@@ -177,8 +180,10 @@ impl Instance {
         let environment = ptr::from_ref::<Messages>(&messages).cast_mut().cast();
         let (name, token) = (string(name)?, string(token)?);
         let open = if version == Version::Two { fmi2::open } else { fmi3::open };
-        let (handle, functions, driver) = open(&library, &name, &token, resources, environment)?;
-        let instance = Self { handle, kept: ptr::null_mut(), messages, functions, driver, _library: library };
+        let mut calls = Calls::default();
+        let opened = calls.start.time(|| open(&library, &name, &token, resources, environment));
+        let (handle, functions, driver) = opened?;
+        let instance = Self { handle, kept: ptr::null_mut(), messages, calls, functions, driver, _library: library };
         if handle.is_null() { Err(format!("no instance: {}", instance.take_messages())) } else { Ok(instance) }
     }
 
@@ -192,16 +197,16 @@ impl Instance {
     }
 
     pub(crate) fn initialise(&mut self, start: f64, stop: f64) -> Status {
-        self.driver.initialise(self.handle, start, stop)
+        self.calls.start.time(|| self.driver.initialise(self.handle, start, stop))
     }
 
     /// Values of a variable: one reference of an array, or one for each entry.
     pub(crate) fn get(&mut self, ty: VariableType, references: &[u32], values: &mut [f64]) -> Status {
-        self.driver.get(self.handle, ty, references, values)
+        self.calls.get.time(|| self.driver.get(self.handle, ty, references, values))
     }
 
     pub(crate) fn set(&mut self, ty: VariableType, references: &[u32], values: &[f64]) -> Status {
-        self.driver.set(self.handle, ty, references, values)
+        self.calls.set.time(|| self.driver.set(self.handle, ty, references, values))
     }
 
     pub(crate) fn get_text(&mut self, reference: u32) -> Result<String, Status> {
@@ -217,29 +222,32 @@ impl Instance {
 
     /// Does a time step; tells whether the unit wants the simulation to end.
     pub(crate) fn step(&mut self, time: f64, step: f64) -> (Status, bool) {
-        self.driver.step(self.handle, time, step)
+        self.calls.step.time(|| self.driver.step(self.handle, time, step))
     }
 
     pub(crate) fn derivative(&mut self, unknown: &[u32], known: &[u32], seed: &[f64], result: &mut [f64]) -> Status {
-        self.driver.derivative(self.handle, unknown, known, seed, result)
+        self.calls.derivative.time(|| self.driver.derivative(self.handle, unknown, known, seed, result))
     }
 
     /// Keeps the present state in place of the one kept before.
     pub(crate) fn save(&mut self) -> Status {
         // SAFETY: the kept state is null or one of this instance, which is live, here and below.
-        status(unsafe { (self.functions.get_state)(self.handle, &mut self.kept) })
+        self.calls.state.time(|| status(unsafe { (self.functions.get_state)(self.handle, &mut self.kept) }))
     }
 
     /// Goes back to the kept state, if there is one.
     pub(crate) fn restore(&mut self) -> Option<Status> {
+        if self.kept.is_null() {
+            return None;
+        }
         // SAFETY: the kept state is one of this instance.
-        (!self.kept.is_null()).then(|| status(unsafe { (self.functions.set_state)(self.handle, self.kept) }))
+        Some(self.calls.state.time(|| status(unsafe { (self.functions.set_state)(self.handle, self.kept) })))
     }
 
     pub(crate) fn serialise(&mut self) -> Result<Vec<u8>, Status> {
         let mut state = ptr::null_mut();
         // SAFETY: a new state of this instance, which is freed below; the bytes have the size that was asked for.
-        unsafe {
+        self.calls.state.time(|| unsafe {
             ok(status((self.functions.get_state)(self.handle, &mut state)))?;
             let mut size = 0;
             let mut bytes = Vec::new();
@@ -250,18 +258,18 @@ impl Instance {
             }
             (self.functions.free_state)(self.handle, &mut state);
             ok(status(code)).map(|()| bytes)
-        }
+        })
     }
 
     pub(crate) fn deserialise(&mut self, bytes: &[u8]) -> Result<(), Status> {
         let mut state = ptr::null_mut();
         // SAFETY: a new state of this instance, which is freed below.
-        unsafe {
+        self.calls.state.time(|| unsafe {
             ok(status((self.functions.deserialise)(self.handle, bytes.as_ptr(), bytes.len(), &mut state)))?;
             let code = (self.functions.set_state)(self.handle, state);
             (self.functions.free_state)(self.handle, &mut state);
             ok(status(code))
-        }
+        })
     }
 }
 

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use coupling::Work;
 use serde::{Deserialize, Serialize};
 
 use super::unit::FmuUnit;
-use crate::unit::{StepOutcome, Unit, UnitError};
+use crate::unit::{Calls, StepOutcome, Unit, UnitError};
 
 /// Inputs that were set, by name.
 type Inputs = BTreeMap<String, Vec<f64>>;
@@ -116,6 +117,14 @@ impl Unit for Replay {
 
     fn newton_iterations(&mut self) -> Option<u64> {
         self.unit.newton_iterations()
+    }
+
+    fn calls(&self) -> Calls {
+        self.unit.calls()
+    }
+
+    fn work(&mut self) -> Option<Work> {
+        self.unit.work()
     }
 
     fn take_messages(&mut self) -> Vec<String> {

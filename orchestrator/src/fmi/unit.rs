@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use coupling::{Role, Sizes};
+use coupling::{Role, Sizes, WORK, Work, WorkVariable};
 use model::Parameter;
 use tempfile::TempDir;
 
@@ -12,7 +12,7 @@ use super::FmuError;
 use super::description::{Description, Variable, VariableType, Version};
 use super::library::{Instance, Status};
 use super::role::Fit;
-use crate::unit::{StepOutcome, Unit, UnitError};
+use crate::unit::{Calls, StepOutcome, Unit, UnitError};
 
 /// The name under which a unit publishes the Newton iterations of its last time step.
 const NEWTON: &str = "newton.iterations";
@@ -145,10 +145,13 @@ impl FmuUnit {
 
     /// Makes the instance anew, with the start values that it had, and initialises it.
     pub(crate) fn renew(&mut self) -> Result<(), UnitError> {
+        let calls = self.calls();
         // The old one goes first: some FMUs cannot be there twice.
         self.instance = None;
         let instance = self.fmu.instance(&self.name);
-        self.instance = Some(instance.map_err(|error| UnitError::Refused { message: error.to_string() })?);
+        let mut instance = instance.map_err(|error| UnitError::Refused { message: error.to_string() })?;
+        instance.calls = calls.and(&instance.calls);
+        self.instance = Some(instance);
         for (variable, value) in std::mem::take(&mut self.starts) {
             self.set_start(&variable, &value)?;
         }
@@ -295,6 +298,21 @@ impl Unit for FmuUnit {
         let mut values = Vec::new();
         self.get(NEWTON, &mut values).ok()?;
         values.first().map(|&n| n as u64)
+    }
+
+    fn calls(&self) -> Calls {
+        self.instance.as_ref().map_or_else(Calls::default, |instance| instance.calls)
+    }
+
+    fn work(&mut self) -> Option<Work> {
+        let mut work = Work::default();
+        for WorkVariable { name, place, .. } in WORK.into_iter().filter(|row| self.has(row.name)).collect::<Vec<_>>() {
+            let mut values = Vec::new();
+            self.get(name, &mut values).ok()?;
+            *place(&mut work) = *values.first()?;
+        }
+        // Without its total nothing is known of what is the interface's.
+        self.has(WORK[0].name).then_some(work)
     }
 
     fn take_messages(&mut self) -> Vec<String> {

@@ -42,6 +42,7 @@ use serde::{Deserialize, Serialize};
 pub use error::ResultsError;
 pub use manifest::{Manifest, MeshNumbers, ModelSource, Quantity, UnitVersion};
 
+use crate::cost::Cost;
 use crate::energy::EnergyEstimate;
 use crate::record::{Failure, StepRecord};
 use fields::Fields;
@@ -147,6 +148,8 @@ pub struct Summary {
     pub failure: Option<Failure>,
     /// Wall seconds of its parts, as `packing`, `coupling`. Those in each unit and in output are added.
     pub seconds: Vec<(String, f64)>,
+    /// Where that of each unit went, since this process made it.
+    pub units: Vec<Cost>,
 }
 
 /// The folder of a run, open to be written to.

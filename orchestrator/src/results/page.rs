@@ -7,6 +7,7 @@ use serde_json::json;
 use super::chart::{escaped, number, pretty, time};
 use super::plots::{Figure, History};
 use super::{Manifest, Summary};
+use crate::cost::Cost;
 use crate::energy::SLACK;
 use crate::record::{Attempt, AttemptOutcome, counted, plural};
 
@@ -108,6 +109,7 @@ impl Totals {
             "newton_iterations": self.newton,
             "smallest_energy_slack": self.slack,
             "seconds": seconds,
+            "units": units(&summary.units),
         });
         format!("{summary:#}\n")
     }
@@ -156,7 +158,7 @@ pub(crate) fn page(
         html += "</div>\n";
     }
     html += &scalars(history);
-    html += &timings(manifest, totals);
+    html += &timings(manifest, totals, summary);
     html += &failed(history);
     html += &repeat(manifest);
     html += "<h2>Files</h2>\n<div class=\"wide\"><table><tbody>\n";
@@ -221,7 +223,7 @@ fn scalars(history: &History) -> String {
     html + "</tbody></table></div>\n"
 }
 
-fn timings(manifest: &Manifest, totals: &Totals) -> String {
+fn timings(manifest: &Manifest, totals: &Totals, summary: &Summary) -> String {
     let mut html = String::from(
         "<h2>Wall time</h2>\n<div class=\"wide\"><table><thead><tr><th>part</th><th class=\"n\">seconds</th>\
          <th class=\"n\">ms an iteration</th></tr></thead><tbody>\n",
@@ -239,6 +241,35 @@ fn timings(manifest: &Manifest, totals: &Totals) -> String {
         let (low, high) = totals.range;
         let all = counted(totals.iterations, "coupling iteration");
         html += &format!("<p>{all} in all; {low} to {high} in an accepted attempt.</p>\n");
+    }
+    html + &costs(&summary.units)
+}
+
+/// Costs by the names of the units.
+pub(crate) fn units(costs: &[Cost]) -> serde_json::Value {
+    costs.iter().map(|cost| (cost.unit.clone(), cost.to_json())).collect::<serde_json::Map<_, _>>().into()
+}
+
+/// Where the time of each unit went.
+fn costs(costs: &[Cost]) -> String {
+    let mut html = String::new();
+    for cost in costs {
+        let [step, derivative, solve] = cost.milliseconds();
+        let mut rows: Vec<(String, String)> = Vec::new();
+        let mut each = |name: String, ms: Option<f64>| rows.extend(ms.map(|ms| (name, format!("{} ms each", short(ms)))));
+        each(format!("{} time steps", grouped(cost.calls.step.count as usize)), step);
+        each(format!("{} directional derivatives", grouped(cost.calls.derivative.count as usize)), derivative);
+        let solves = cost.work.map_or(0.0, |work| work.solve_count);
+        each(format!("{} triangular solves in them", grouped(solves as usize)), solve);
+        rows.extend(cost.parts().into_iter().map(|(name, seconds)| (name.into(), format!("{} s", short(seconds)))));
+        html += &format!(
+            "<details><summary>unit {}</summary><div class=\"wide\"><table><tbody>\n",
+            escaped(&cost.unit)
+        );
+        for (name, value) in rows {
+            html += &format!("<tr><th>{name}</th><td class=\"n\">{value}</td></tr>\n");
+        }
+        html += "</tbody></table></div></details>\n";
     }
     html
 }
