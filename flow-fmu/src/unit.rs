@@ -9,7 +9,7 @@
 //! zero and the aperture in contact.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use coupling::{Allowed, Role, Sizes, Table, Worker, identifier};
 use fmi_unit::{
@@ -20,7 +20,6 @@ use mesh::{Mesh, Vec3};
 use model::{Document, Point, Scope, TipDistances};
 use serde::{Deserialize, Serialize};
 
-use crate::report::timed;
 use crate::{
     Boundary, Condition, Control, Flow, FlowError, FlowModel, Fluid, Fracture, Function, Inflow, Inputs, Linearisation,
     Perturbation, Place, Rock, State, StepReport, StiffnessCap, Tensor, Well, WellIndex, WellReport,
@@ -428,6 +427,15 @@ fn add_wells(t: &mut Table<FlowUnit>, flow: &Flow, rate: &str) {
             );
         }
     }
+}
+
+/// Computes in the pool of threads, and adds the wall time. From outside of the pool each parallel loop would be handed over
+/// to it, which takes longer than many of them.
+fn timed<T: Send>(sum: &mut Duration, act: impl FnOnce() -> T + Send) -> T {
+    let clock = Instant::now();
+    let result = rayon::scope(|_| act());
+    *sum += clock.elapsed();
+    result
 }
 
 impl Worker for FlowUnit {
