@@ -12,7 +12,7 @@
 //! with φ* the porosity change by deformation, and d_f = d* + C_f (p_f − p_f*). The porosity in φⁿ⁻¹ c_f counts
 //! deformation. The matrix depends on δt, C, C_f, and the last time level only.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use linear::{Cholesky, Scratch};
 use mesh::{Mesh, Side, Vec3};
@@ -102,8 +102,10 @@ impl Linearisation {
 /// What the last time step leaves beside the state.
 struct Solved {
     linearisation: Arc<Linearisation>,
-    /// `None` where only the linearisation came back.
-    fluxes: Option<Fluxes>,
+    /// The equations at its end, and the flux through each mesh face; `None` where only the linearisation came back.
+    end: Option<(Evaluation, Vec<f64>)>,
+    /// Made when asked for.
+    fluxes: OnceLock<Fluxes>,
 }
 
 /// Darcy flow on a mesh.
@@ -335,7 +337,7 @@ impl Flow {
     pub fn resume(&mut self, state: State, linearisation: Arc<Linearisation>) -> Result<(), FlowError> {
         self.check_state(&state, Some(&linearisation))?;
         self.state = state;
-        self.solved = Some(Solved { linearisation, fluxes: None });
+        self.solved = Some(Solved { linearisation, end: None, fluxes: OnceLock::new() });
         Ok(())
     }
 
@@ -446,7 +448,9 @@ impl Flow {
     /// [`FlowError::NothingSolved`] before the first time step, after [`set_state`](Self::set_state) and
     /// [`resume`](Self::resume).
     pub fn fluxes(&self) -> Result<&Fluxes, FlowError> {
-        self.solved.as_ref().and_then(|s| s.fluxes.as_ref()).ok_or(FlowError::NothingSolved)
+        let solved = self.solved.as_ref().and_then(|s| Some((s.end.as_ref()?, &s.fluxes)));
+        let ((evaluation, face), fluxes) = solved.ok_or(FlowError::NothingSolved)?;
+        Ok(fluxes.get_or_init(|| self.fluxes_of(evaluation, face)))
     }
 
     /// The derivative of the pressures of the last time step in a direction of the inputs: one solve.
@@ -511,7 +515,10 @@ impl Flow {
     /// 1/M + φ c_f.
     fn storage(&self, cell: usize) -> f64 {
         let rock = &self.rocks[self.scheme.mesh.data().cell_region[cell]];
-        rock.storage() + self.porosity_of(cell) * self.model.fluid.compressibility()
+        match self.model.fluid.compressibility() {
+            0.0 => rock.storage(),
+            c_f => rock.storage() + self.porosity_of(cell) * c_f,
+        }
     }
 
     /// Whether inputs are such that [`step`](Self::step) can take them.
@@ -792,11 +799,14 @@ impl Flow {
         if let Some(i) = aperture.iter().position(|&d| d.is_nan() || d <= 0.0) {
             return Err(FlowError::Closed { fracture_face: i, aperture: aperture[i] });
         }
-        let fluxes = self.fluxes_of(&evaluation, inflow);
+        let face_flux = self.face_fluxes(&evaluation, inflow);
         let mut report = StepReport { time, wells, work: self.work, ..StepReport::default() };
         report.inflow = self.boundary_inflow(&evaluation, inflow);
-        report.balance = self.balance(&c, &report, &traces, &evaluation, &fluxes);
-        report.energy = self.energy(time, rate, &c, &traces, inflow, &evaluation, &porosity_change, &aperture, &report);
+        let (balance, energy) = rayon::join(
+            || self.balance(&c, &report, &traces, &evaluation, &face_flux),
+            || self.energy(time, rate, &c, &traces, inflow, &evaluation, &porosity_change, &aperture, &report),
+        );
+        (report.balance, report.energy) = (balance, energy);
         let geometry = self.scheme.mesh.geometry();
         if rate > 0.0 {
             for k in 0..porosity_change.len() {
@@ -811,53 +821,58 @@ impl Flow {
                 report.stored.fracture += geometry.face_measure[face] * taken;
             }
         }
-        self.state =
-            State { time, matrix_pressure: evaluation.matrix_pressure, traces, porosity_change, aperture, limited };
+        let matrix_pressure = evaluation.matrix_pressure.clone();
+        self.state = State { time, matrix_pressure, traces, porosity_change, aperture, limited };
         let linearisation = Arc::new(Linearisation {
             coefficients: c,
             rate,
             porosity_compliance: inputs.porosity_compliance.clone(),
             aperture_compliance: inputs.aperture_compliance.clone(),
         });
-        self.solved = Some(Solved { linearisation, fluxes: Some(fluxes) });
+        self.solved = Some(Solved { linearisation, end: Some((evaluation, face_flux)), fluxes: OnceLock::new() });
         Ok(report)
     }
 
-    /// One flux for both sides of each face.
-    fn fluxes_of(&self, evaluation: &Evaluation, inflow: &[f64]) -> Fluxes {
-        let (mesh, space) = (&self.scheme.mesh, &self.scheme.space);
-        let (geometry, network) = (mesh.geometry(), mesh.network());
-        let mut fluxes = Fluxes {
-            face: vec![0.0; mesh.face_count()],
-            exchange: evaluation.exchange.clone(),
-            fracture_edge: evaluation.edge_flux.clone(),
-            ..Fluxes::default()
-        };
+    /// One flux for both sides of each face; on fracture faces that of the plus side.
+    fn face_fluxes(&self, evaluation: &Evaluation, inflow: &[f64]) -> Vec<f64> {
+        let (mesh, space, network) = (&self.scheme.mesh, &self.scheme.space, self.scheme.mesh.network());
+        let mut fluxes = vec![0.0; mesh.face_count()];
         // Whether the flux of a boundary facet is given: nothing flows where nothing is said.
         let mut given = vec![true; space.facet_count()];
         for datum in self.pressures.iter().filter(|d| d.trace < space.facet_count()) {
             given[datum.trace] = false;
         }
+        for (&(facet, sign), flux) in space.cell_facets.iter().zip(&evaluation.cell_flux) {
+            let face = space.face_of_facet(facet);
+            fluxes[face] += match (mesh.is_boundary(face), given[facet]) {
+                (false, _) => 0.5 * sign * flux,
+                (true, false) => sign * flux,
+                (true, true) => -inflow[facet],
+            };
+        }
+        for (&face, exchange) in network.faces.iter().zip(&evaluation.exchange) {
+            fluxes[face] = exchange[0];
+        }
+        fluxes
+    }
+
+    fn fluxes_of(&self, evaluation: &Evaluation, face: &[f64]) -> Fluxes {
+        let (mesh, space) = (&self.scheme.mesh, &self.scheme.space);
+        let (geometry, network) = (mesh.geometry(), mesh.network());
+        let mut fluxes = Fluxes {
+            face: face.to_vec(),
+            exchange: evaluation.exchange.clone(),
+            fracture_edge: evaluation.edge_flux.clone(),
+            ..Fluxes::default()
+        };
         for cell in 0..mesh.cell_count() {
-            let range = space.cell_traces.range(cell);
-            let mut velocity = Vec3::ZERO;
-            for k in range {
-                let (facet, sign) = space.cell_facets[k];
-                let face = space.face_of_facet(facet);
-                let flux = evaluation.cell_flux[k];
-                velocity += flux * (space.facet_center(facet) - space.cell_point[cell]);
-                if network.number_of_face[face].is_none() {
-                    fluxes.face[face] += match (mesh.is_boundary(face), given[facet]) {
-                        (false, _) => 0.5 * sign * flux,
-                        (true, false) => sign * flux,
-                        (true, true) => -inflow[facet],
-                    };
-                }
-            }
-            fluxes.cell_velocity.push(velocity / geometry.cell_measure[cell]);
+            let moment = |k: usize| {
+                evaluation.cell_flux[k] * (space.facet_center(space.cell_facets[k].0) - space.cell_point[cell])
+            };
+            let moments: Vec3 = space.cell_traces.range(cell).map(moment).sum();
+            fluxes.cell_velocity.push(moments / geometry.cell_measure[cell]);
         }
         for (i, &face) in network.faces.iter().enumerate() {
-            fluxes.face[face] = evaluation.exchange[i][0];
             let edges = network.face_edges.get(i).iter().zip(network.face_edges.range(i));
             let moment: Vec3 =
                 edges.map(|(&e, k)| evaluation.edge_flux[k] * (space.edge_center[e] - space.fracture_point[i])).sum();
@@ -885,7 +900,7 @@ impl Flow {
         report: &StepReport,
         traces: &[f64],
         evaluation: &Evaluation,
-        fluxes: &Fluxes,
+        face_flux: &[f64],
     ) -> Balance {
         let (mesh, space) = (&self.scheme.mesh, &self.scheme.space);
         let network = mesh.network();
@@ -897,8 +912,8 @@ impl Flow {
             let (mut sum, mut size) = (net, net.abs());
             for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
                 let flux = match (network.number_of_face[face], sign > 0.0) {
-                    (Some(i), plus) => fluxes.exchange[i][usize::from(!plus)],
-                    (None, _) => sign * fluxes.face[face],
+                    (Some(i), plus) => evaluation.exchange[i][usize::from(!plus)],
+                    (None, _) => sign * face_flux[face],
                 };
                 sum += flux;
                 size += flux.abs();
@@ -910,10 +925,10 @@ impl Flow {
         let mut at_edge = vec![0.0; network.edge_count()];
         for i in 0..network.face_count() {
             let net = c.fracture_diagonal[i] * traces[space.fracture_trace(i)] - c.fracture_source[i];
-            let [plus, minus] = fluxes.exchange[i];
+            let [plus, minus] = evaluation.exchange[i];
             let (mut sum, mut size) = (net - plus - minus, net.abs() + plus.abs() + minus.abs());
             for (&e, k) in network.face_edges.get(i).iter().zip(network.face_edges.range(i)) {
-                let flux = fluxes.fracture_edge[k];
+                let flux = evaluation.edge_flux[k];
                 sum += flux;
                 size += flux.abs();
                 at_edge[e] += flux;

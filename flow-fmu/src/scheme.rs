@@ -21,9 +21,12 @@ use mesh::{Mesh, Side, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::report::{Work, timed};
 use crate::local::{Facet, Tensor, transmissivity};
+use crate::report::{Work, timed};
 use crate::space::{Space, fracture_measure};
+
+/// Cells that a thread evaluates in one go.
+const RUN: usize = 1024;
 
 /// What changes from one time step to the next.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -77,6 +80,8 @@ pub(crate) struct Scheme {
     cell_operator: Vec<f64>,
     /// a_i, aligned with the traces of cells.
     cell_row: Vec<f64>,
+    /// Σ a_i, cells.
+    cell_sum: Vec<f64>,
     /// ρ g·(x_i − x_K), aligned with the traces of cells.
     pub(crate) cell_weight: Vec<f64>,
     fracture_start: Vec<usize>,
@@ -127,6 +132,7 @@ impl Scheme {
             cell_row.extend(block.chunks_exact(space.cell_traces.get(cell).len()).map(|row| row.iter().sum::<f64>()));
             cell_weight.extend(space.cell_local_facets(cell).map(|f| weight.dot(f.center - space.cell_point[cell])));
         }
+        let cell_sum = space.cell_traces.offsets().windows(2).map(|w| cell_row[w[0]..w[1]].iter().sum()).collect();
         let network = mesh.network();
         let (mut fracture_start, mut fracture_operator) = (vec![0], Vec::new());
         let (mut fracture_row, mut fracture_weight, mut side_weight) = (Vec::new(), Vec::new(), Vec::new());
@@ -168,6 +174,7 @@ impl Scheme {
             cell_start,
             cell_operator,
             cell_row,
+            cell_sum,
             cell_weight,
             fracture_start,
             fracture_operator,
@@ -233,7 +240,7 @@ impl Scheme {
             let m = traces.len();
             let t = &self.cell_operator[self.cell_start[cell]..self.cell_start[cell + 1]];
             let a = &self.cell_row[space.cell_traces.range(cell)];
-            let pivot = c.cell_diagonal[cell] + a.iter().sum::<f64>();
+            let pivot = c.cell_diagonal[cell] + self.cell_sum[cell];
             add(&mut traces.iter().copied(), &|i, j| t[i * m + j] - a[i] * a[j] / pivot)?;
         }
         for i in 0..network.face_count() {
@@ -272,35 +279,41 @@ impl Scheme {
             ..Evaluation::default()
         };
         let starts = space.cell_traces.offsets();
-        let mut fluxes = Vec::with_capacity(mesh.cell_count());
+        let mut runs = Vec::new();
         let mut rest = &mut result.cell_flux[..];
-        for cell in 0..mesh.cell_count() {
-            let (own, tail) = rest.split_at_mut(starts[cell + 1] - starts[cell]);
-            fluxes.push(own);
+        for (run, pressures) in result.matrix_pressure.chunks_mut(RUN).enumerate() {
+            let first = run * RUN;
+            let (own, tail) = rest.split_at_mut(starts[first + pressures.len()] - starts[first]);
+            runs.push((first, pressures, own));
             rest = tail;
         }
-        (fluxes.par_iter_mut().zip(result.matrix_pressure.par_iter_mut())).enumerate().with_min_len(512).for_each(
-            |(cell, (flux, pressure))| {
-                let range = space.cell_traces.range(cell);
+        let evaluate_run = |(first, pressures, mut fluxes): (usize, &mut [f64], &mut [f64])| {
+            let mut size: f64 = 0.0;
+            // ψ, then what drives the flux through each trace.
+            let mut psi = Vec::new();
+            for (cell, pressure) in (first..).zip(pressures) {
+                let range = starts[cell]..starts[cell + 1];
                 let m = range.len();
-                let psi = |i: usize| traces[space.cell_traces.get(cell)[i]] - self.cell_weight[range.start + i];
-                let a = &self.cell_row[range.clone()];
-                let pivot = c.cell_diagonal[cell] + a.iter().sum::<f64>();
-                let sum: f64 = (0..m).map(|i| a[i] * psi(i)).sum();
-                let p = (c.cell_source[cell] + sum) / pivot;
+                let weights = &self.cell_weight[range.clone()];
+                psi.clear();
+                psi.extend(space.cell_traces.items()[range.clone()].iter().zip(weights).map(|(&t, w)| traces[t] - w));
+                let coefficient = c.cell_diagonal[cell] + self.cell_sum[cell];
+                let sum: f64 = self.cell_row[range].iter().zip(&psi).map(|(a, psi)| a * psi).sum();
+                *pressure = (c.cell_source[cell] + sum) / coefficient;
+                psi.iter_mut().for_each(|psi| *psi = *pressure - *psi);
+                let (own, tail) = fluxes.split_at_mut(m);
                 let t = &self.cell_operator[self.cell_start[cell]..self.cell_start[cell + 1]];
-                for i in 0..m {
-                    flux[i] = (0..m).map(|j| t[i * m + j] * (p - psi(j))).sum();
+                for (flux, row) in own.iter_mut().zip(t.chunks_exact(m)) {
+                    *flux = row.iter().zip(&psi).map(|(t, drop)| t * drop).sum();
                 }
-                *pressure = p;
-            },
-        );
+                fluxes = tail;
+                size = size.max(coefficient * pressure.abs());
+            }
+            size
+        };
+        result.size = runs.into_par_iter().map(evaluate_run).reduce(|| 0.0, f64::max);
         for (&trace, flux) in space.cell_traces.items().iter().zip(&result.cell_flux) {
             result.residual[trace] += flux;
-        }
-        for cell in 0..mesh.cell_count() {
-            let a: f64 = self.cell_row[space.cell_traces.range(cell)].iter().sum();
-            result.size = result.size.max((a + c.cell_diagonal[cell]) * result.matrix_pressure[cell].abs());
         }
         for i in 0..network.face_count() {
             let own = space.fracture_trace(i);
@@ -356,7 +369,7 @@ impl Scheme {
         let mut load = vec![0.0; self.space.trace_count()];
         for (cell, source) in cell_source.iter().enumerate() {
             let a = &self.cell_row[self.space.cell_traces.range(cell)];
-            let pivot = c.cell_diagonal[cell] + a.iter().sum::<f64>();
+            let pivot = c.cell_diagonal[cell] + self.cell_sum[cell];
             for (&trace, a) in self.space.cell_traces.get(cell).iter().zip(a) {
                 load[trace] += a / pivot * source;
             }
@@ -374,7 +387,7 @@ impl Scheme {
                 let a = &self.cell_row[self.space.cell_traces.range(cell)];
                 let own = self.space.cell_traces.get(cell).iter();
                 let sum: f64 = own.zip(a).map(|(&trace, a)| a * traces[trace]).sum();
-                (cell_source[cell] + sum) / (c.cell_diagonal[cell] + a.iter().sum::<f64>())
+                (cell_source[cell] + sum) / (c.cell_diagonal[cell] + self.cell_sum[cell])
             })
             .collect()
     }

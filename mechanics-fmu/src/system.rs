@@ -187,7 +187,13 @@ impl System {
             cholesky,
             schur,
             inverse,
-            work: Work { analysis, assembly, factorisation: factorisation + condensation, factorisations: 1, ..Work::default() },
+            work: Work {
+                analysis,
+                assembly,
+                factorisation: factorisation + condensation,
+                factorisations: 1,
+                ..Work::default()
+            },
             free_of_unknown,
             springs,
         })

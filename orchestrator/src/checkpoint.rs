@@ -4,19 +4,21 @@
 //! |---|---|
 //! | 8 | [`MAGIC`], the last of which is the version |
 //! | 32 | SHA-256 of what follows |
-//! | rest | settings, state of the loop, states of all units (postcard: floats keep all their bits) |
+//! | any | settings, state of the loop, lengths of the states of all units (postcard: floats keep all their bits) |
+//! | rest | states of all units |
 
-use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::error::CouplingError;
 use crate::interface::Interface;
 use crate::run::{Settings, State};
 
-const MAGIC: [u8; 8] = *b"couple\0\x01";
+const MAGIC: [u8; 8] = *b"couple\0\x02";
+/// Bytes of the digest.
+const DIGEST: usize = 32;
 
 /// Everything that a run needs to go on: with it, a run that was stopped gives the same bits as one that was not.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// Interface and settings that the run had.
     of: String,
@@ -58,9 +60,15 @@ impl Checkpoint {
     /// # Errors
     /// [`CouplingError::Checkpoint`] where it cannot be written, as for want of memory.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CouplingError> {
-        let content = postcard::to_stdvec(self)
+        let Self { of, state, units } = self;
+        let lengths: Vec<usize> = units.iter().map(Vec::len).collect();
+        let head = [&MAGIC[..], &[0; DIGEST]].concat();
+        let mut bytes = postcard::to_extend(&(of, state, lengths), head)
             .map_err(|_| CouplingError::Checkpoint { reason: "its content cannot be written" })?;
-        Ok([&MAGIC[..], &Sha256::digest(&content)[..], &content].concat())
+        units.iter().for_each(|unit| bytes.extend_from_slice(unit));
+        let (head, content) = bytes.split_at_mut(MAGIC.len() + DIGEST);
+        head[MAGIC.len()..].copy_from_slice(&Sha256::digest(content));
+        Ok(bytes)
     }
 
     /// From bytes.
@@ -70,11 +78,22 @@ impl Checkpoint {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CouplingError> {
         let fail = |reason| CouplingError::Checkpoint { reason };
         let rest = bytes.strip_prefix(&MAGIC).ok_or(fail("it is none, or of another version"))?;
-        let (digest, content) = rest.split_at_checked(32).ok_or(fail("it is cut short"))?;
+        let (digest, content) = rest.split_at_checked(DIGEST).ok_or(fail("it is cut short"))?;
         if Sha256::digest(content)[..] != *digest {
             return Err(fail("it is damaged"));
         }
-        postcard::from_bytes(content).map_err(|_| fail("its content is inconsistent"))
+        let inconsistent = fail("its content is inconsistent");
+        type Head = (String, State, Vec<usize>);
+        let Ok(((of, state, lengths), mut rest)) = postcard::take_from_bytes::<Head>(content) else {
+            return Err(inconsistent);
+        };
+        let mut units = Vec::new();
+        for length in lengths {
+            let Some((unit, others)) = rest.split_at_checked(length) else { return Err(inconsistent) };
+            units.push(unit.to_vec());
+            rest = others;
+        }
+        if rest.is_empty() { Ok(Self { of, state, units }) } else { Err(inconsistent) }
     }
 }
 

@@ -25,12 +25,13 @@ impl Cost {
         Self { unit: unit.name().to_owned(), calls, work: unit.work() }
     }
 
-    /// Wall seconds by parts, which add up to those of all calls: those of its computing, and `interface`, the rest: what
-    /// FMI takes, with the copies of values and states, reading of resources included. A unit that says nothing has one
-    /// part.
+    /// Wall seconds by parts, which add up to those of all calls: those of its computing; `loading`, the rest of its start,
+    /// in which it reads its resources; `interface`, the rest of all else, in which values and states are copied. A unit that
+    /// says nothing has one part.
     pub fn parts(&self) -> Vec<(&'static str, f64)> {
         let all = self.calls.seconds();
         let Some(work) = self.work else { return vec![("all", all)] };
+        let loading = self.calls.start.seconds - self.calls.start_computing;
         let Work { total, analysis, assembly, factorisation, solves, newton, .. } = work;
         vec![
             ("analysis", analysis),
@@ -39,7 +40,8 @@ impl Cost {
             ("triangular solves", solves),
             ("contact", newton),
             ("other computing", total - analysis - assembly - factorisation - solves - newton),
-            ("interface", all - total),
+            ("loading", loading),
+            ("interface", all - total - loading),
         ]
     }
 
@@ -53,7 +55,7 @@ impl Cost {
 
     /// All of it.
     pub fn to_json(&self) -> Value {
-        let Calls { start, set, get, step, derivative, state } = self.calls;
+        let Calls { start, set, get, step, derivative, state, .. } = self.calls;
         let parts: serde_json::Map<_, _> = self.parts().into_iter().map(|(name, s)| (name.into(), json!(s))).collect();
         let count = |of: fn(&Work) -> f64| self.work.as_ref().map(of);
         let [step_ms, derivative_ms, solve_ms] = self.milliseconds();
@@ -81,6 +83,7 @@ mod tests {
     fn parts_add_up_to_the_calls() {
         let calls = Calls {
             start: Tally { count: 1, seconds: 0.5 },
+            start_computing: 0.375,
             step: Tally { count: 4, seconds: 2.0 },
             get: Tally { count: 8, seconds: 0.25 },
             ..Calls::default()
@@ -89,7 +92,7 @@ mod tests {
         let cost = Cost { unit: "flow".into(), calls, work: Some(work) };
         let parts = cost.parts();
         assert_eq!(parts.iter().map(|part| part.1).sum::<f64>(), 2.75);
-        assert_eq!(parts[5..], [("other computing", 0.25), ("interface", 0.5)]);
+        assert_eq!(parts[5..], [("other computing", 0.25), ("loading", 0.125), ("interface", 0.375)]);
         assert_eq!(cost.milliseconds(), [Some(500.0), None, Some(125.0)]);
         assert_eq!(Cost { work: None, ..cost }.parts(), [("all", 2.75)]);
     }

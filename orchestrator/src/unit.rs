@@ -77,6 +77,8 @@ impl Tally {
 pub struct Calls {
     /// Instantiation and initialisation.
     pub start: Tally,
+    /// Seconds of computing in these, as the unit tells.
+    pub start_computing: f64,
     /// Values given.
     pub set: Tally,
     /// Values asked for.
@@ -96,6 +98,7 @@ impl Calls {
         let sum = |a: Tally, b: Tally| Tally { count: a.count + b.count, seconds: a.seconds + b.seconds };
         Self {
             start: sum(self.start, other.start),
+            start_computing: self.start_computing + other.start_computing,
             set: sum(self.set, other.set),
             get: sum(self.get, other.get),
             step: sum(self.step, other.step),

@@ -25,8 +25,10 @@ use super::series::Series;
 pub(crate) type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
-/// A run that is killed loses the work of no more than this and a time step: a checkpoint takes as long as a short time step.
+/// A run that is killed loses the work of so long and of a time step; of more where checkpoints take long.
 const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(1);
+/// Checkpoints take no more than this part of the time.
+const CHECKPOINTS: f64 = 0.05;
 
 /// Wall seconds of the parts of a run, by name.
 type Seconds = Vec<(String, f64)>;
@@ -305,7 +307,7 @@ fn drive(
     let names: Vec<String> = folder.manifest().units.iter().map(|unit| unit.name.clone()).collect();
     let mut progress = Progress::new(voice, run.time(), end, folder.last(), names.clone());
     let clock = Instant::now();
-    let mut checkpointed = clock;
+    let (mut checkpointed, mut between) = (clock, BETWEEN_CHECKPOINTS);
     let (before, mut checkpoints) = (folder.seconds(), 0.0);
     let mut failure = None;
     while !run.is_finished() {
@@ -313,12 +315,13 @@ fn drive(
             Ok(record) => {
                 let snapshot: Snapshot = series.of(&mut run)?;
                 folder.append(&record, &snapshot)?;
-                let is_due = checkpointed.elapsed() >= BETWEEN_CHECKPOINTS || run.is_finished();
+                let is_due = checkpointed.elapsed() >= between || run.is_finished();
                 if is_due && run.has_checkpoints() {
                     let clock = Instant::now();
                     folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
-                    checkpoints += clock.elapsed().as_secs_f64();
                     checkpointed = Instant::now();
+                    between = BETWEEN_CHECKPOINTS.max((checkpointed - clock).div_f64(CHECKPOINTS));
+                    checkpoints += (checkpointed - clock).as_secs_f64();
                 }
                 for unit in run.units() {
                     let messages = unit.take_messages();
@@ -433,4 +436,3 @@ impl Totals {
         text
     }
 }
-

@@ -139,6 +139,8 @@ impl FmuUnit {
     pub fn initialise(&mut self, start: f64, stop: f64) -> Result<(), UnitError> {
         let status = self.instance()?.initialise(start, stop);
         self.done(status)?;
+        let work = self.work();
+        self.instance()?.calls.start_computing = work.map_or(0.0, |work| work.total);
         self.span = Some([start, stop]);
         Ok(())
     }

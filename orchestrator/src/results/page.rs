@@ -256,16 +256,15 @@ fn costs(costs: &[Cost]) -> String {
     for cost in costs {
         let [step, derivative, solve] = cost.milliseconds();
         let mut rows: Vec<(String, String)> = Vec::new();
-        let mut each = |name: String, ms: Option<f64>| rows.extend(ms.map(|ms| (name, format!("{} ms each", short(ms)))));
+        let mut each =
+            |name: String, ms: Option<f64>| rows.extend(ms.map(|ms| (name, format!("{} ms each", short(ms)))));
         each(format!("{} time steps", grouped(cost.calls.step.count as usize)), step);
         each(format!("{} directional derivatives", grouped(cost.calls.derivative.count as usize)), derivative);
         let solves = cost.work.map_or(0.0, |work| work.solve_count);
         each(format!("{} triangular solves in them", grouped(solves as usize)), solve);
         rows.extend(cost.parts().into_iter().map(|(name, seconds)| (name.into(), format!("{} s", short(seconds)))));
-        html += &format!(
-            "<details><summary>unit {}</summary><div class=\"wide\"><table><tbody>\n",
-            escaped(&cost.unit)
-        );
+        html +=
+            &format!("<details><summary>unit {}</summary><div class=\"wide\"><table><tbody>\n", escaped(&cost.unit));
         for (name, value) in rows {
             html += &format!("<tr><th>{name}</th><td class=\"n\">{value}</td></tr>\n");
         }
