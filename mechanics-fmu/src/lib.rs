@@ -40,4 +40,4 @@ pub use model::{
 };
 pub use newton::NewtonReport;
 pub use space::Space;
-pub use system::{SetupReport, Work};
+pub use system::{SetupReport, Stage, Work};

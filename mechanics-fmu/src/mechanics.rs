@@ -14,7 +14,7 @@ use crate::linearised::Schur;
 use crate::model::Model;
 use crate::newton::{FractureData, FractureProblem, NewtonReport, SingularFracture};
 use crate::space::Space;
-use crate::system::{SetupReport, System, Work, boundary_nodes};
+use crate::system::{SetupReport, Stage, System, Work, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -186,6 +186,14 @@ impl Mechanics {
     /// [`MechanicsError::Model`] with all that is wrong with the model; [`MechanicsError::Linear`] if the stiffness cannot
     /// be factorised.
     pub fn new(mesh: Arc<Mesh>, model: Model) -> Result<Self, MechanicsError> {
+        Self::watched(mesh, model, &mut |_| {})
+    }
+
+    /// As [`new`](Self::new); `ended` is told when each stage has.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn watched(mesh: Arc<Mesh>, model: Model, ended: &mut dyn FnMut(Stage)) -> Result<Self, MechanicsError> {
         let mut problems = model.problems(&mesh);
         let network = mesh.network();
         let geometry = mesh.geometry();
@@ -205,7 +213,7 @@ impl Mechanics {
         if !problems.is_empty() {
             return Err(MechanicsError::Model(problems));
         }
-        let system = System::new(&mesh, &model)?;
+        let system = System::new(&mesh, &model, ended)?;
         let d = mesh.dim();
         let faces = (apertures.iter().zip(&network.faces).enumerate())
             .map(|(i, (&(law, aperture), &face))| {

@@ -80,6 +80,19 @@ pub struct Work {
     pub factorisations: usize,
 }
 
+/// A stage of the set-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Numbering, fill-reducing order and symbolic analysis.
+    Analysis,
+    /// Local matrices and their sum.
+    Assembly,
+    /// Factorisation, its check included.
+    Factorisation,
+    /// The Schur complement on the fracture.
+    Condensation,
+}
+
 /// The assembled operators; vectors over all unknowns are in the numbering of [`Space`].
 pub(crate) struct System {
     pub(crate) space: Space,
@@ -105,8 +118,8 @@ pub(crate) struct System {
 }
 
 impl System {
-    /// Assembles and factorises.
-    pub(crate) fn new(mesh: &Mesh, model: &Model) -> Result<Self, MechanicsError> {
+    /// Assembles and factorises; says when each stage has ended.
+    pub(crate) fn new(mesh: &Mesh, model: &Model, ended: &mut dyn FnMut(Stage)) -> Result<Self, MechanicsError> {
         let space = Space::new(mesh, model.bubbles);
         let fixed = fixed_unknowns(mesh, model, &space);
         let problems = floating_pieces(mesh, &space, &fixed, true);
@@ -130,9 +143,11 @@ impl System {
             .collect();
 
         let mut clock = Instant::now();
-        let mut lap = || {
+        let mut lap = |stage| {
             let last = std::mem::replace(&mut clock, Instant::now());
-            clock - last
+            let lap = clock - last;
+            ended(stage);
+            lap
         };
         let unknown_count = dim * space.entity_count();
         let mut is_fixed = vec![false; unknown_count];
@@ -154,18 +169,18 @@ impl System {
         let method = if dim == 2 { Method::Amd } else { Method::Metis };
         let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &jumps)?)?);
 
-        let analysis = lap();
+        let analysis = lap(Stage::Analysis);
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let (fixed_rows, divergence) =
             assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
-        let assembly = lap();
+        let assembly = lap(Stage::Assembly);
         let cholesky = Cholesky::new(&symbolic, &stiffness, faer::get_global_parallelism())?;
         drop(stiffness);
-        let factorisation = lap();
+        let factorisation = lap(Stage::Factorisation);
         let (schur, inverse) = schur_without_springs(&cholesky, &springs)?;
-        let condensation = lap();
+        let condensation = lap(Stage::Condensation);
         let memory = cholesky.memory();
         let setup = SetupReport {
             analysis,

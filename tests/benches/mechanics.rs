@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use mechanics_fmu::{Bubbles, Mechanics, Model, Outcome, Partner, State, StepReport};
 use mesh::Mesh;
 use tests::contact_cases::{network_3d, single_crack};
+use tests::memory::{peak, resident};
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
@@ -103,19 +104,4 @@ fn show(label: &str, total: Duration, r: &StepReport) {
 
 fn mb(bytes: usize) -> f64 {
     bytes as f64 / 1e6
-}
-
-/// A line of /proc/self/status in bytes; 0 where there is none.
-fn status(key: &str) -> usize {
-    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = text.lines().find(|l| l.starts_with(key)).unwrap_or_default();
-    1024 * line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0)
-}
-
-fn resident() -> usize {
-    status("VmRSS")
-}
-
-fn peak() -> usize {
-    status("VmHWM")
 }

@@ -18,16 +18,14 @@ use super::error::CliError;
 use super::memory::Peaks;
 use super::pack;
 use super::places::places;
-use super::progress::{Progress, Voice, newton, seconds};
+use super::progress::{Progress, Voice, newton};
 use super::series::Series;
 
 /// Units by name, in the order of their numbers.
 pub(crate) type Fmus = Vec<(String, PathBuf)>;
 /// Where the results keep the units that they came from.
 const UNITS: &str = "units";
-/// A run that is killed loses the work of so long and of a time step; of more where checkpoints take long.
-const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(1);
-/// Checkpoints take no more than this part of the time.
+/// Checkpoints take about this part of the time: a run that is killed loses what was done in 20 times that of one.
 const CHECKPOINTS: f64 = 0.05;
 
 /// Wall seconds of the parts of a run, by name.
@@ -307,7 +305,7 @@ fn drive(
     let names: Vec<String> = folder.manifest().units.iter().map(|unit| unit.name.clone()).collect();
     let mut progress = Progress::new(voice, run.time(), end, folder.last(), names.clone());
     let clock = Instant::now();
-    let (mut checkpointed, mut between) = (clock, BETWEEN_CHECKPOINTS);
+    let (mut checkpointed, mut between) = (clock, Duration::ZERO);
     let (before, mut checkpoints) = (folder.seconds(), 0.0);
     let mut failure = None;
     while !run.is_finished() {
@@ -320,7 +318,7 @@ fn drive(
                     let clock = Instant::now();
                     folder.checkpoint(&run.checkpoint()?.to_bytes()?)?;
                     checkpointed = Instant::now();
-                    between = BETWEEN_CHECKPOINTS.max((checkpointed - clock).div_f64(CHECKPOINTS));
+                    between = (checkpointed - clock).div_f64(CHECKPOINTS);
                     checkpoints += (checkpointed - clock).as_secs_f64();
                 }
                 for unit in run.units() {
@@ -342,12 +340,13 @@ fn drive(
         }
     }
     progress.finish();
-    let inside: f64 = totals.seconds.iter().sum();
+    peaks.take("time steps");
+    let units: Vec<Cost> = run.units().iter_mut().map(|unit| Cost::of(unit.as_mut())).collect();
+    let in_units: Vec<f64> = units.iter().map(|cost| cost.calls.seconds() - cost.calls.start.seconds).collect();
+    let inside: f64 = in_units.iter().sum();
     let results = folder.seconds() - before;
     let other = (clock.elapsed().as_secs_f64() - inside - results).max(0.0);
     parts.push(("coupling".into(), other));
-    peaks.take("time steps");
-    let units: Vec<Cost> = run.units().iter_mut().map(|unit| Cost::of(unit.as_mut())).collect();
     let summary = Summary { failure: failure.as_deref().cloned(), seconds: parts.clone(), units };
     let page = folder.finish(&summary)?;
     peaks.take("page and plots");
@@ -356,7 +355,7 @@ fn drive(
         let left = format!("\nresults up to t = {} s are in {}", report.time, folder.path().display());
         return Err(CliError::Coupling { error: CouplingError::Failed(report), places, left });
     }
-    parts.extend(names.into_iter().zip(totals.seconds.iter().copied()));
+    parts.extend(names.into_iter().zip(in_units));
     parts.extend([("results".into(), folder.seconds()), ("of which checkpoints".into(), checkpoints)]);
     match voice {
         Voice::Quiet => Ok(()),
@@ -368,6 +367,7 @@ fn drive(
                 "time_steps": totals.steps,
                 "coupling_iterations": totals.iterations,
                 "largest_coupling_iterations": totals.largest,
+                "derivatives": totals.derivatives,
                 "newton_iterations": totals.newton,
                 "seconds": seconds,
                 "units": costs,
@@ -391,8 +391,7 @@ struct Totals {
     iterations: usize,
     largest: usize,
     newton: u64,
-    /// For each unit.
-    seconds: Vec<f64>,
+    derivatives: usize,
 }
 
 impl Totals {
@@ -403,19 +402,18 @@ impl Totals {
         self.iterations += iterations;
         self.largest = self.largest.max(iterations);
         self.newton += newton(record);
-        let seconds = seconds(record);
-        self.seconds.resize(seconds.len(), 0.0);
-        self.seconds.iter_mut().zip(seconds).for_each(|(sum, seconds)| *sum += seconds);
+        self.derivatives += record.iterations().iter().map(|iteration| iteration.derivatives).sum::<usize>();
     }
 
     fn text(&self, parts: &Seconds, units: &[Cost], peaks: &Peaks, folder: &Path, page: &Path) -> String {
         let from = if self.first > 0 { format!(" after the first {}", self.first) } else { String::new() };
         let mean = self.iterations as f64 / self.steps.max(1) as f64;
         let mut text = format!(
-            "{}{from} ({}), coupling iterations {mean:.1} on average, {} at most, {} Newton iterations\nseconds:",
+            "{}{from} ({}), coupling iterations {mean:.1} on average, {} at most, {}, {} Newton iterations\nseconds:",
             counted(self.steps, "time step"),
             counted(self.attempts, "attempt"),
             self.largest,
+            counted(self.derivatives, "directional derivative"),
             self.newton
         );
         for (i, (name, seconds)) in parts.iter().enumerate() {
