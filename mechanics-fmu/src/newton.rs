@@ -41,7 +41,7 @@ const SWEEPS: usize = 5;
 const CYCLES: usize = 3;
 /// A response is refined until what is left is this part of it, well below what differences of time steps tell; each solve
 /// gains a factor of [`FORCING`] as a rule, and is repeated at most [`REFINEMENTS`] times.
-const REFINED: f64 = 1e-11;
+const REFINED: f64 = 1e-8;
 const REFINEMENTS: usize = 4;
 /// After β as set, these multiples of it are tried.
 const BETAS: [f64; 2] = [10.0, 100.0];
