@@ -318,7 +318,7 @@ impl Run {
         }
         let iterations = attempts.last().map_or(0, |a| a.iterations.len());
         let state = &mut self.state;
-        state.pace = self.control.accepted(pace, end - state.time, iterations, &changes);
+        state.pace = self.control.accepted(pace, end, end - state.time, iterations, &changes);
         state.accelerator.accept(self.settings.coupling.acceleration);
         widen(&mut state.ranges, &fields);
         state.history.push((end, fields));

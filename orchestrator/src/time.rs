@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use model::Time;
+use model::{Adaptive, Time};
 use serde::{Deserialize, Serialize};
 
 /// A time step that ends closer to a stop than this part of it ends there.
@@ -12,7 +12,7 @@ const CUT: f64 = 0.5;
 /// Where the settings give no smallest step: this part of the first.
 const SMALLEST: f64 = 1.0 / 1024.0;
 
-/// Chooses time steps. All stops (multiples of a fixed step, output times, the end) are met exactly.
+/// Chooses time steps. All stops (multiples of the step where it is fixed, output times, the end) are met exactly.
 #[derive(Clone, Debug)]
 pub(crate) struct TimeControl {
     settings: Time,
@@ -41,6 +41,11 @@ impl TimeControl {
         self.settings.step.map_or(self.settings.end.0 - self.settings.start.0, |s| s.0)
     }
 
+    /// What time steps that start at `time` (s) adapt by; `None` where they are fixed.
+    fn adaptive(&self, time: f64) -> Option<&Adaptive> {
+        self.settings.adaptive.as_ref().filter(|adaptive| adaptive.from.is_none_or(|from| time >= from.0))
+    }
+
     /// Smallest step (s).
     pub(crate) fn minimum(&self) -> f64 {
         self.settings.minimum.map_or(SMALLEST * self.step(), |s| s.0)
@@ -58,7 +63,7 @@ impl TimeControl {
     pub(crate) fn next(&self, time: f64, pace: Pace) -> f64 {
         let end = self.settings.end.0;
         let mut stop = self.stops.iter().copied().find(|&s| s > time).unwrap_or(end);
-        if self.settings.adaptive.is_none() {
+        if self.adaptive(time).is_none() {
             let (start, step) = (self.settings.start.0, self.step());
             let passed = ((time - start) / step + NEAR).floor();
             stop = stop.min(start + (passed + 1.0) * step);
@@ -66,9 +71,16 @@ impl TimeControl {
         if time + pace.wanted * (1.0 + NEAR) >= stop { stop } else { time + pace.wanted }
     }
 
-    /// After a time step of `step` (s) with so many coupling iterations and such changes of fields.
-    pub(crate) fn accepted(&self, pace: Pace, step: f64, iterations: usize, changes: &BTreeMap<&str, f64>) -> Pace {
-        let Some(adaptive) = &self.settings.adaptive else {
+    /// After a time step of `step` (s) to `time` (s) with so many coupling iterations and such changes of fields.
+    pub(crate) fn accepted(
+        &self,
+        pace: Pace,
+        time: f64,
+        step: f64,
+        iterations: usize,
+        changes: &BTreeMap<&str, f64>,
+    ) -> Pace {
+        let Some(adaptive) = self.adaptive(time) else {
             // After a cut, back to the fixed step.
             let base = pace.wanted.max(step);
             return Pace { wanted: (2.0 * base).min(self.step()) };
@@ -98,7 +110,7 @@ impl TimeControl {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use model::{Adaptive, Number};
+    use model::Number;
 
     fn settings(end: f64, step: f64) -> Time {
         Time { end: Number(end), step: Some(Number(step)), ..Time::default() }
@@ -115,7 +127,7 @@ mod tests {
                 pace = control.failed(end - time).unwrap();
                 end = control.next(time, pace);
             }
-            pace = control.accepted(pace, end - time, 9, &BTreeMap::new());
+            pace = control.accepted(pace, end, end - time, 9, &BTreeMap::new());
             time = end;
             times.push(time);
         }
@@ -137,20 +149,35 @@ mod tests {
     fn adaptive_steps_follow_iterations_and_changes() {
         let adaptive = Adaptive {
             maximum: Some(Number(4.0)),
-            target_iterations: Number(6.0),
             growth: Number(2.0),
             largest_change: [("p".to_owned(), Number(10.0))].into(),
+            ..Adaptive::default()
         };
         let control = TimeControl::new(Time { adaptive: Some(adaptive), ..settings(100.0, 1.0) }, &[]);
         let next = |iterations, change| {
-            control.accepted(Pace { wanted: 1.0 }, 1.0, iterations, &[("p", change)].into()).wanted
+            control.accepted(Pace { wanted: 1.0 }, 1.0, 1.0, iterations, &[("p", change)].into()).wanted
         };
         assert_eq!(next(1, 0.0), 2.0);
         assert_eq!(next(4, 1.0), 1.5);
         assert_eq!(next(4, 8.0), 1.25);
         assert_eq!(next(50, 1.0), 0.5);
-        assert_eq!(control.accepted(Pace { wanted: 3.0 }, 3.0, 1, &BTreeMap::new()).wanted, 4.0);
+        assert_eq!(control.accepted(Pace { wanted: 3.0 }, 3.0, 3.0, 1, &BTreeMap::new()).wanted, 4.0);
         // A step cut short by a stop.
-        assert_eq!(control.accepted(Pace { wanted: 2.0 }, 0.1, 4, &BTreeMap::new()).wanted, 3.0);
+        assert_eq!(control.accepted(Pace { wanted: 2.0 }, 0.1, 0.1, 4, &BTreeMap::new()).wanted, 3.0);
+    }
+
+    #[test]
+    fn steps_are_fixed_until_they_adapt() {
+        let adaptive = Adaptive { from: Some(Number(3.0)), growth: Number(2.0), ..Adaptive::default() };
+        let control = TimeControl::new(Time { adaptive: Some(adaptive), ..settings(20.0, 1.0) }, &[0.5]);
+        let (mut time, mut pace) = (0.0, control.first());
+        let mut times = Vec::new();
+        while !control.is_finished(time) {
+            let end = control.next(time, pace);
+            pace = control.accepted(pace, end, end - time, 2, &BTreeMap::new());
+            time = end;
+            times.push(time);
+        }
+        assert_eq!(times, [0.5, 1.0, 2.0, 3.0, 5.0, 9.0, 17.0, 20.0]);
     }
 }

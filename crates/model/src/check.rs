@@ -477,6 +477,10 @@ fn check_time(time: &Time, log: &mut Log) {
         log.add("time.minimum", "it must not exceed time.step");
     }
     if let Some(adaptive) = &time.adaptive {
+        log.number("time.adaptive.from".into(), adaptive.from, f64::is_finite, "finite");
+        if adaptive.from.is_some() && time.step.is_none() {
+            log.add("time.adaptive.from", "time.step is required with it");
+        }
         log.positive("time.adaptive.maximum".into(), adaptive.maximum);
         log.positive("time.adaptive.target_iterations".into(), adaptive.target_iterations);
         log.number("time.adaptive.growth".into(), adaptive.growth, |v| v > 1.0, "above 1");

@@ -449,6 +449,8 @@ impl Default for Time {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Adaptive {
+    /// Time (s) up to which they are `step`. Left out: they adapt from the start.
+    pub from: Option<Number>,
     /// Largest time step (s). Left out: no limit.
     pub maximum: Option<Number>,
     /// Coupling iterations that a time step should take.
@@ -461,7 +463,7 @@ pub struct Adaptive {
 
 impl Default for Adaptive {
     fn default() -> Self {
-        Self { maximum: None, target_iterations: Number(6.0), growth: Number(1.5), largest_change: BTreeMap::new() }
+        Self { from: None, maximum: None, target_iterations: Number(6.0), growth: Number(1.5), largest_change: BTreeMap::new() }
     }
 }
 
