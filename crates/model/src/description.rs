@@ -463,7 +463,13 @@ pub struct Adaptive {
 
 impl Default for Adaptive {
     fn default() -> Self {
-        Self { from: None, maximum: None, target_iterations: Number(6.0), growth: Number(1.5), largest_change: BTreeMap::new() }
+        Self {
+            from: None,
+            maximum: None,
+            target_iterations: Number(6.0),
+            growth: Number(1.5),
+            largest_change: BTreeMap::new(),
+        }
     }
 }
 
