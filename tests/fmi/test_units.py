@@ -49,7 +49,7 @@ class Unit(Host):
         return {
             name: struct.pack(f"{self.size(name)}d", *self.get(unit, name))
             for name in names
-            if name not in STATELESS
+            if name not in STATELESS and not name.startswith("work.")
         }
 
     def drive(self, unit, factor=1.0):
