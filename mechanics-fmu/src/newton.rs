@@ -28,8 +28,10 @@ use crate::contact::{ContactState, Face, FacePartner, Linearised, Local};
 use crate::linearised::{LinearisedProblem, Schur, single_product};
 use crate::model::NewtonSettings;
 
-/// A linear solve reduces the residual by this much. With less, Newton's method takes more iterations; with more, not fewer.
+/// A linear solve reduces the residual by this much, and by more once contact states repeat. With less, Newton's method takes
+/// more iterations; with more, not fewer.
 const FORCING: f64 = 1e-3;
+const SETTLED: f64 = 1e-4;
 /// Residuals below this part of the largest force on a face are round-off.
 const NEGLIGIBLE: f64 = 1e-15;
 /// What round-off leaves of a force, as part of the largest given force and of the forces that cancel in S δ. Where nothing
@@ -234,11 +236,12 @@ impl FractureProblem<'_, '_> {
         }
         let mut seen = HashSet::new();
         let mut change = 0.0;
+        let mut forcing = FORCING;
         let mut converged = self.faces.is_empty();
         while !converged && report.iterations < limit && report.cycles < most_cycles {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
-            let correction = self.solve_linear(&laws, &at.force, &mut report);
+            let correction = self.solve_linear(&laws, &at.force, forcing, &mut report);
             let correction = correction.ok_or_else(|| SingularFracture(at.states.clone()))?;
             let next = self.corrected(data, &at, &correction);
             change = max_abs(&correction);
@@ -252,6 +255,7 @@ impl FractureProblem<'_, '_> {
             let tolerance = self.settings.tolerance;
             converged = change <= larger(noise, tolerance * size) && next.excess <= tolerance * traction;
             let repeats = next.states == at.states;
+            forcing = if repeats { SETTLED } else { FORCING };
             at = next;
             if !converged && !repeats && !seen.insert(at.states.clone()) {
                 report.cycles += 1;
@@ -272,7 +276,13 @@ impl FractureProblem<'_, '_> {
     }
 
     /// The correction of the jumps that satisfies the linearised laws, where the bulk exerts `force` without it.
-    fn solve_linear(&self, laws: &[Linearised], force: &[f64], report: &mut NewtonReport) -> Option<Vec<f64>> {
+    fn solve_linear(
+        &self,
+        laws: &[Linearised],
+        force: &[f64],
+        forcing: f64,
+        report: &mut NewtonReport,
+    ) -> Option<Vec<f64>> {
         let d = self.dim;
         let mut correction = vec![0.0; force.len()];
         for (i, law) in laws.iter().enumerate() {
@@ -302,7 +312,7 @@ impl FractureProblem<'_, '_> {
             }
         }
         let size = b.iter().map(|b| b * b).sum::<f64>().sqrt();
-        let target = (FORCING * size).max(negligible);
+        let target = (forcing * size).max(negligible);
         let problem = LinearisedProblem { dim: d, schur: self.schur, laws };
         let x = problem.solve(&b, target, report)?;
         correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
@@ -340,7 +350,7 @@ impl FractureProblem<'_, '_> {
                 let own = self.local(&total, i);
                 law.constant = std::array::from_fn(|c| (0..self.dim).map(|j| law.h[c][j] * own[j]).sum());
             }
-            let correction = self.solve_linear(&laws, &rest, &mut NewtonReport::default());
+            let correction = self.solve_linear(&laws, &rest, FORCING, &mut NewtonReport::default());
             let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
             // The next correction would be smaller by the same factor.
@@ -404,7 +414,7 @@ impl FractureProblem<'_, '_> {
                 break;
             }
             let laws = one.linearise(&data, &at);
-            match one.solve_linear(&laws, &at.force, &mut NewtonReport::default()) {
+            match one.solve_linear(&laws, &at.force, FORCING, &mut NewtonReport::default()) {
                 Some(correction) => at = one.corrected(&data, &at, &correction),
                 None => break,
             }
