@@ -7,7 +7,8 @@ use tests::contact_cases::{manufactured, solve_dry};
 use tests::norms::orders;
 
 /// Asserts the orders of ∇u and λ between meshes of n³ boxes and the number of Newton iterations on each; gives the orders of
-/// u. Exact jumps and tractions are both 0 everywhere, so that the states creep: iterations grow with the mesh.
+/// u. Exact jumps and tractions are both 0 everywhere, so that the states creep: iterations grow with the mesh. A prototype took
+/// 5 and 9 on Cartesian meshes of n = 8 and 16 with exact linear solves; ours gain three digits.
 fn check(family: &str, levels: [usize; 3], iterations: [usize; 3]) -> Vec<f64> {
     let (mut sizes, mut errors) = (Vec::new(), [const { Vec::new() }; 3]);
     for (n, limit) in levels.into_iter().zip(iterations) {
@@ -30,37 +31,37 @@ fn check(family: &str, levels: [usize; 3], iterations: [usize; 3]) -> Vec<f64> {
 
 #[test]
 fn cartesian_boxes() {
-    let u = check("Cartesian", [8, 12, 16], [5, 6, 8]);
+    let u = check("Cartesian", [8, 12, 16], [6, 7, 8]);
     assert!(u.iter().all(|o| *o >= 1.95), "{u:?}");
 }
 
 #[test]
 fn perturbed_hexahedra() {
-    let u = check("perturbed hexahedra", [8, 12, 16], [6, 6, 8]);
+    let u = check("perturbed hexahedra", [8, 12, 16], [6, 8, 9]);
     assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
 }
 
 #[test]
 fn tetrahedra() {
-    let u = check("tetrahedra", [8, 12, 16], [7, 12, 12]);
+    let u = check("tetrahedra", [8, 12, 16], [9, 12, 13]);
     assert!(u[0] < u[1] && u[1] >= 1.9, "{u:?}");
 }
 
 #[test]
 fn dual_polyhedra() {
-    let u = check("dual polyhedra", [8, 10, 12], [6, 8, 8]);
+    let u = check("dual polyhedra", [8, 10, 12], [7, 8, 9]);
     assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
 }
 
 /// Agglomerates differ in shape from level to level, and the order of one pair with them.
 #[test]
 fn agglomerated_tetrahedra() {
-    let u = check("agglomerated tetrahedra", [8, 12, 16], [5, 7, 9]);
+    let u = check("agglomerated tetrahedra", [8, 12, 16], [7, 8, 9]);
     assert!(u[0] < u[1] && u[1] >= 1.9, "{u:?}");
 }
 
 #[test]
 fn prisms_over_polygons() {
-    let u = check("prisms over polygons", [8, 12, 16], [6, 8, 10]);
+    let u = check("prisms over polygons", [8, 12, 16], [6, 7, 8]);
     assert!(u.iter().all(|o| *o >= 1.9), "{u:?}");
 }
