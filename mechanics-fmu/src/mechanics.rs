@@ -14,7 +14,7 @@ use crate::linearised::Schur;
 use crate::model::Model;
 use crate::newton::{FractureData, FractureProblem, NewtonReport, SingularFracture};
 use crate::space::Space;
-use crate::system::{SetupReport, Stage, System, Work, boundary_nodes};
+use crate::system::{CellMaterial, SetupReport, Stage, System, Work, boundary_nodes};
 
 /// How the partner's fields follow ours: p_m = p_m* − S (φ − φ*), p_f = p_f* − S_f (d_f − d_f*).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -409,7 +409,7 @@ impl Mechanics {
         let wanted = if matrix_stiffness.iter().any(|&s| s != 0.0) { matrix_stiffness } else { &[] };
         if self.stiffness_response != wanted {
             let extra: Vec<f64> = (0..self.mesh.cell_count())
-                .map(|k| wanted.get(k).map_or(0.0, |s| s * self.system.materials[k].biot.powi(2)))
+                .map(|k| wanted.get(k).map_or(0.0, |s| s * self.material(k).biot.powi(2)))
                 .collect();
             self.stiffness_response = wanted.to_vec();
             self.system.refactorise(&self.mesh, &extra)?;
@@ -496,12 +496,12 @@ impl Mechanics {
         let mut weighted: Vec<f64> = partner.matrix_pressure.clone();
         if let Some(r) = &partner.response {
             for (k, p) in weighted.iter_mut().enumerate() {
-                let initial = self.system.materials[k].biot * state.initial_divergence[k];
+                let initial = self.material(k).biot * state.initial_divergence[k];
                 *p += r.matrix_pressure_stiffness[k] * (r.porosity_change[k] + initial);
             }
         }
         for (k, p) in weighted.iter_mut().enumerate() {
-            *p *= measures[k] * self.system.materials[k].biot;
+            *p *= measures[k] * self.material(k).biot;
         }
         self.system.divergence.mul_transpose_add(1.0, &weighted, rhs)?;
         let partners = self.face_partners(partner);
@@ -527,7 +527,7 @@ impl Mechanics {
     pub fn porosity_change(&self, state: &State) -> Vec<f64> {
         let mut div = self.divergence(state);
         for (k, v) in div.iter_mut().enumerate() {
-            *v = self.system.materials[k].biot * (*v - state.initial_divergence[k]);
+            *v = self.material(k).biot * (*v - state.initial_divergence[k]);
         }
         div
     }
@@ -564,9 +564,13 @@ impl Mechanics {
             .collect()
     }
 
+    fn material(&self, cell: usize) -> &CellMaterial {
+        &self.system.materials[self.mesh.data().cell_region[cell]]
+    }
+
     /// Shear modulus μ (Pa) on the plus side of each fracture face.
     pub fn fracture_rigidity(&self) -> Vec<f64> {
-        let plus = |&face: &usize| self.system.materials[self.mesh.face_cells(face).0].mu;
+        let plus = |&face: &usize| self.material(self.mesh.face_cells(face).0).mu;
         self.mesh.network().faces.iter().map(plus).collect()
     }
 
@@ -603,7 +607,8 @@ impl Mechanics {
 
     /// b²/K_dr of each cell (1/Pa): how the porosity of a free body answers to pressure.
     pub fn porosity_compliance(&self) -> Vec<f64> {
-        self.system.materials.iter().map(|m| m.biot.powi(2) / m.bulk_modulus).collect()
+        let of = |k| self.material(k).biot.powi(2) / self.material(k).bulk_modulus;
+        (0..self.mesh.cell_count()).map(of).collect()
     }
 
     /// Floor of the aperture compliance (m/Pa): L_f/E′, L_f the extent of the face's fracture.
@@ -622,7 +627,7 @@ impl Mechanics {
             .map(|(&face, &fracture)| {
                 let (low, high) = bounds[fracture];
                 let cell = self.mesh.face_cells(face).0;
-                low.distance(high) / self.system.materials[cell].plane_strain_modulus
+                low.distance(high) / self.material(cell).plane_strain_modulus
             })
             .collect()
     }
@@ -663,9 +668,7 @@ impl Mechanics {
         }
         let mut porosity_change = vec![0.0; self.mesh.cell_count()];
         self.system.divergence.mul_add(1.0, &full, &mut porosity_change)?;
-        for (p, m) in porosity_change.iter_mut().zip(&self.system.materials) {
-            *p *= m.biot;
-        }
+        porosity_change.iter_mut().enumerate().for_each(|(k, p)| *p *= self.material(k).biot);
         Ok(Response { porosity_change, aperture: self.aperture_response(state, &jump), jump })
     }
 
@@ -721,8 +724,9 @@ impl Mechanics {
             return Err(MechanicsError::Length { field: "matrix pressure", found: matrix_pressure.len(), expected });
         }
         let gradients = self.displacement_gradient(state);
-        Ok((gradients.iter().zip(&self.system.materials).zip(matrix_pressure))
-            .map(|((g, m), p)| {
+        Ok((gradients.iter().zip(matrix_pressure).enumerate())
+            .map(|(k, (g, p))| {
+                let m = self.material(k);
                 let isotropic = m.lambda * (g[0][0] + g[1][1] + g[2][2]) - m.biot * p;
                 let normal = |i: usize| 2.0 * m.mu * g[i][i] + isotropic;
                 let shear = |i: usize, j: usize| m.mu * (g[i][j] + g[j][i]);
@@ -790,7 +794,7 @@ impl Mechanics {
             let div = self.divergence(state);
             let weighted: Vec<f64> = (0..div.len())
                 .map(|k| {
-                    let biot = self.system.materials[k].biot;
+                    let biot = self.material(k).biot;
                     self.mesh.geometry().cell_measure[k] * biot * biot * self.stiffness_response[k] * div[k]
                 })
                 .collect();

@@ -32,7 +32,7 @@ pub(crate) struct Fixed {
     pub(crate) place: String,
 }
 
-/// Elastic constants of a cell (Pa) and its Biot coefficient.
+/// Elastic constants of a cell (Pa) and its Biot coefficient, which are those of its region.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellMaterial {
     pub(crate) lambda: f64,
@@ -96,6 +96,7 @@ pub enum Stage {
 /// The assembled operators; vectors over all unknowns are in the numbering of [`Space`].
 pub(crate) struct System {
     pub(crate) space: Space,
+    /// Of each region.
     pub(crate) materials: Vec<CellMaterial>,
     pub(crate) fixed: Vec<Fixed>,
     /// The unknown of each free one, ascending; the jumps are the last.
@@ -111,7 +112,6 @@ pub(crate) struct System {
     pub(crate) inverse: Option<DenseSymmetric>,
     pub(crate) work: Work,
     pub(crate) setup: SetupReport,
-    free_of_unknown: Vec<Option<u32>>,
     /// Where only fractures hold a piece of the body, the stiffness (N/m) of springs across each jump, which the factor has
     /// and the Schur complement has not: without them there would be no factor.
     springs: Vec<f64>,
@@ -129,9 +129,9 @@ impl System {
         let held = floating_pieces(mesh, &space, &fixed, false).is_empty();
         let dim = space.dim();
         let data = mesh.data();
-        let materials: Vec<_> = (data.cell_region.iter())
-            .map(|&region| {
-                let m = &model.materials[&data.regions[region]];
+        let materials: Vec<_> = (data.regions.iter())
+            .map(|region| {
+                let m = &model.materials[region];
                 CellMaterial {
                     lambda: m.lambda(),
                     mu: m.mu(),
@@ -155,10 +155,8 @@ impl System {
         let sizes: Vec<usize> =
             is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
         let mut free = Vec::with_capacity(unknown_count);
-        let mut free_of_unknown = vec![None; unknown_count];
         for (unknown, &fixed) in is_fixed.iter().enumerate() {
             if !fixed {
-                free_of_unknown[unknown] = Some(free.len() as u32);
                 free.push(unknown as u32);
             }
         }
@@ -171,8 +169,7 @@ impl System {
 
         let analysis = lap(Stage::Analysis);
         let mut stiffness = SparseSymmetric::zeros(pattern);
-        let (fixed_rows, divergence) =
-            assemble(mesh, &space, &materials, &fixed, &free_of_unknown, None, &mut stiffness)?;
+        let (fixed_rows, divergence) = assemble(mesh, &space, &materials, &fixed, None, &mut stiffness)?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap(Stage::Assembly);
@@ -209,7 +206,6 @@ impl System {
                 factorisations: 1,
                 ..Work::default()
             },
-            free_of_unknown,
             springs,
         })
     }
@@ -228,15 +224,7 @@ impl System {
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
         let clock = Instant::now();
         let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
-        let (fixed_rows, _) = assemble(
-            mesh,
-            &self.space,
-            &self.materials,
-            &self.fixed,
-            &self.free_of_unknown,
-            Some(extra),
-            &mut stiffness,
-        )?;
+        let (fixed_rows, _) = assemble(mesh, &self.space, &self.materials, &self.fixed, Some(extra), &mut stiffness)?;
         self.fixed_rows = fixed_rows;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
         self.work.assembly += clock.elapsed();
@@ -256,7 +244,7 @@ fn spring_stiffness(mesh: &Mesh, materials: &[CellMaterial]) -> Vec<f64> {
     (mesh.network().faces.iter())
         .flat_map(|&face| {
             let cell = mesh.face_cells(face).0;
-            let CellMaterial { lambda, mu, .. } = materials[cell];
+            let CellMaterial { lambda, mu, .. } = materials[mesh.data().cell_region[cell]];
             let k = (lambda + 2.0 * mu) / geometry.cell_diameter[cell] * geometry.face_measure[face];
             std::iter::repeat_n(k, mesh.dim())
         })
@@ -298,12 +286,12 @@ fn assemble(
     space: &Space,
     materials: &[CellMaterial],
     fixed: &[Fixed],
-    free_of_unknown: &[Option<u32>],
     extra: Option<&[f64]>,
     stiffness: &mut SparseSymmetric,
 ) -> Result<(Csr, Csr), MechanicsError> {
     let dim = space.dim();
-    let mut row_of_fixed = vec![None; free_of_unknown.len()];
+    let unknown_count = dim * space.entity_count();
+    let mut row_of_fixed = vec![None; unknown_count];
     fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
     // By value: neighbours in a list would share a cache line between threads.
     let compute = |run: &Range<usize>, mut parts: CellParts| -> Result<CellParts, linear::Error> {
@@ -315,7 +303,7 @@ fn assemble(
         for cell in run.clone() {
             space.fill_operators(mesh, cell, &mut operators);
             space.fill_unknowns(mesh, cell, &mut unknowns);
-            let m = materials[cell];
+            let m = materials[mesh.data().cell_region[cell]];
             operators.fill_stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]), &mut full);
             let full = unknowns.reduce_matrix(&full);
             numbers.clear();
@@ -348,12 +336,12 @@ fn assemble(
         Ok(parts)
     };
     let mut fixed_triplets = Vec::new();
-    let mut divergence = Csr::empty(free_of_unknown.len())?;
+    let mut divergence = Csr::empty(unknown_count)?;
     let without_bubbles = (0..mesh.cell_count()).map(|cell| dim * mesh.nodes().of_cell(cell).len()).sum();
     divergence.reserve(mesh.cell_count(), without_bubbles);
     let mut parts = (0..rayon::current_num_threads())
         .map(|_| {
-            let divergence = Csr::empty(free_of_unknown.len())?;
+            let divergence = Csr::empty(unknown_count)?;
             Ok(CellParts { stiffness: CellMatrices::default(), divergence, fixed: Vec::new() })
         })
         .collect::<Result<Vec<CellParts>, linear::Error>>()?;
@@ -369,7 +357,7 @@ fn assemble(
         stiffness.add_cells(&matrices)?;
     }
     divergence.shrink();
-    Ok((Csr::from_triplets(fixed.len(), free_of_unknown.len(), &fixed_triplets)?, divergence))
+    Ok((Csr::from_triplets(fixed.len(), unknown_count, &fixed_triplets)?, divergence))
 }
 
 /// The prescribed unknowns, ascending.
