@@ -120,7 +120,7 @@ impl System<'_> {
         let fail = |what: &str| io::Error::other(format!("{}: {name} {what}", component.name));
         let variable = component.description.variables.get(name).ok_or_else(|| fail("is missing"))?;
         if variable.references.len() > 1 {
-            return Err(fail("is an array of scalars, which SSP cannot connect to an array"));
+            return Err(fail("is given by scalars, which SSP cannot connect to the entries of an array"));
         }
         Ok(variable)
     }

@@ -228,6 +228,9 @@ fn what_it_says_and_discards_is_passed_on() {
     assert_eq!(unit.take_messages(), [""; 0]);
     assert_eq!(unit.step(0.1, 0.1), Ok(StepOutcome::Done));
     assert_eq!(unit.take_messages(), ["this is the second time step"]);
+    // A message with values, of any length.
+    assert_eq!(unit.step(0.2, 0.1), Ok(StepOutcome::Done));
+    assert_eq!(unit.take_messages(), [format!("flow took step 3 to 0.30 s{:>1000}", ".")]);
     let refused = unit.set("matrix.pressure", &[0.0; 3]).unwrap_err();
     assert_eq!(refused, UnitError::Refused { message: "no such input".into() });
     let error = unit.set_start("label", &Parameter::Number(1.0)).unwrap_err();

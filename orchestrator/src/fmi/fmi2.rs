@@ -22,30 +22,39 @@ const CO_SIMULATION: c_int = 1;
 /// `fmi2CallbackFunctions`.
 #[repr(C)]
 pub(super) struct Callbacks {
-    /// It has a variable number of arguments in C, which cannot be written in Rust: those after the message are not
-    /// looked at, which the calling conventions in use allow.
-    logger: unsafe extern "C" fn(Handle, *const c_char, c_int, *const c_char, *const c_char),
+    logger: unsafe extern "C" fn(Handle, *const c_char, c_int, *const c_char, *const c_char, ...),
     allocate: unsafe extern "C" fn(usize, usize) -> *mut c_void,
     free: unsafe extern "C" fn(*mut c_void),
     finished: Option<unsafe extern "C" fn(Handle, c_int)>,
     environment: Handle,
 }
 
+/// What the logger is given.
+#[repr(C)]
+struct Environment {
+    keep: unsafe extern "C" fn(Handle, c_int, *const c_char),
+    messages: Handle,
+}
+
 unsafe extern "C" {
+    /// In `log2.c`: a function with a variable number of arguments cannot be written in Rust. It fills in the values of a
+    /// message, and passes it to the [`Environment`].
+    fn orchestrator_fmi2_log(
+        environment: Handle,
+        instance: *const c_char,
+        status: c_int,
+        category: *const c_char,
+        message: *const c_char,
+        ...
+    );
     fn calloc(count: usize, size: usize) -> *mut c_void;
     fn free(memory: *mut c_void);
 }
 
-/// Keeps a message: a format, whose values are not filled in.
-unsafe extern "C" fn log(
-    environment: Handle,
-    _instance: *const c_char,
-    code: c_int,
-    _category: *const c_char,
-    message: *const c_char,
-) {
-    // SAFETY: the environment is the box of messages, which outlives the instance; the message is a C string.
-    unsafe { keep(environment, code, message) }
+/// Keeps a message.
+unsafe extern "C" fn log(messages: Handle, code: c_int, message: *const c_char) {
+    // SAFETY: the box of messages outlives the instance; the message is a C string.
+    unsafe { keep(messages, code, message) }
 }
 
 functions! { Functions:
@@ -69,6 +78,7 @@ functions! { Functions:
 struct Two {
     functions: Functions,
     _callbacks: Box<Callbacks>,
+    _environment: Box<Environment>,
 }
 
 /// Makes an instance; its handle may be null.
@@ -77,7 +87,7 @@ pub(crate) fn open(
     name: &CStr,
     token: &CStr,
     resources: &Path,
-    environment: Handle,
+    messages: Handle,
 ) -> Result<(Handle, Common, Box<dyn Driver>), String> {
     let common = Common::load(
         library,
@@ -112,14 +122,17 @@ pub(crate) fn open(
         ],
     )?;
     let resources = string(&format!("file://{}", resources.display()))?;
-    let callbacks = Box::new(Callbacks { logger: log, allocate: calloc, free, finished: None, environment });
+    let logger = Box::new(Environment { keep: log, messages });
+    let environment = (&raw const *logger).cast_mut().cast();
+    let callbacks =
+        Box::new(Callbacks { logger: orchestrator_fmi2_log, allocate: calloc, free, finished: None, environment });
     let (visible, logging) = (0, 1);
     // SAFETY: strings live through the call, environment and callbacks as long as the instance.
     let handle = unsafe {
         let (name, token, resources) = (name.as_ptr(), token.as_ptr(), resources.as_ptr());
         (functions.instantiate)(name, CO_SIMULATION, token, resources, &raw const *callbacks, visible, logging)
     };
-    Ok((handle, common, Box::new(Two { functions, _callbacks: callbacks })))
+    Ok((handle, common, Box::new(Two { functions, _callbacks: callbacks, _environment: logger })))
 }
 
 fn get<T: Copy + Default + Into<f64>>(
