@@ -103,6 +103,7 @@ fn a_comparison_that_is_killed_goes_on_where_it_was() {
     let after = outcomes(Path::new(&killed));
     assert!(after.len() == 8 && before.iter().all(|(path, time)| after[path] == *time));
     assert_eq!(runs(Path::new(&killed)), runs(Path::new(&whole)));
+    assert_eq!(runs(Path::new(&whole))[1]["dt [s]"], "20");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use hdf5_metno::File;
 use hdf5_metno::types::VarLenUnicode;
 use serde_json::json;
 
-use super::{Comparison, Measures, Row};
+use super::{Choice, Comparison, Measures, Row};
 use crate::record::IterationRecord;
 use crate::results::hdf5::{floats, integers, put, text as attribute};
 use crate::results::tables::{cell, outcome};
@@ -65,7 +65,7 @@ fn columns(comparison: &Comparison, rows: &[Row<'_>]) -> Vec<(String, Vec<Cell>)
     add("run".into(), &|row| Cell::number(row.entry.number as f64));
     for (c, choice) in comparison.choices.iter().enumerate().filter(|c| c.1.varies()) {
         let is_number = choice.numbers().is_some();
-        add(choice.name.clone(), &|row| {
+        add(head(choice), &|row| {
             let option = &choice.options[row.entry.options[c]];
             if is_number { Cell::number(option.parse().ok()) } else { Cell::Text(option.clone()) }
         });
@@ -105,6 +105,11 @@ fn columns(comparison: &Comparison, rows: &[Row<'_>]) -> Vec<(String, Vec<Cell>)
     list
 }
 
+/// Name of the column of a choice, with its unit of measure where it has one.
+fn head(choice: &Choice) -> String {
+    if choice.name == "dt" { "dt [s]".into() } else { choice.name.clone() }
+}
+
 /// `runs.csv`.
 pub(crate) fn runs(comparison: &Comparison, rows: &[Row<'_>]) -> String {
     let columns = columns(comparison, rows);
@@ -125,7 +130,7 @@ pub(crate) fn json(comparison: &Comparison, row: &Row<'_>) -> serde_json::Value 
 pub(crate) fn attempts(comparison: &Comparison, rows: &[Row<'_>]) -> String {
     let mut text = String::from("run");
     let varying = || comparison.choices.iter().enumerate().filter(|c| c.1.varies());
-    varying().for_each(|(_, choice)| text += &format!(",{}", cell(&choice.name)));
+    varying().for_each(|(_, choice)| text += &format!(",{}", cell(&head(choice))));
     text += ",time_step,step [s],iterations,outcome,residual_ratio\n";
     for row in rows {
         let Ok(run) = &row.entry.outcome else { continue };
