@@ -3,7 +3,8 @@
 use crate::error::CouplingError;
 use crate::fmi::Conversion;
 use crate::unit::Unit;
-use model::{Criterion, FIELDS, Norm, Number, Split};
+use coupling::{QUANTITIES, Role};
+use model::{Criterion, Norm, Number, Split};
 
 /// A field that one unit gives and the other takes, under one name.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,15 +81,16 @@ impl Interface {
     /// The floors of the criteria are some part of what a small case has: 10 kPa, a porosity of 1e-5, 10 µm.
     pub fn poroelastic() -> Self {
         let table = [
-            (FLOW, "matrix.pressure_stiffness", 2, 1e4),
-            (FLOW, "fracture.pressure_stiffness", 3, 1e4),
-            (MECHANICS, "matrix.porosity_compliance", 0, 1e-5),
-            (MECHANICS, "fracture.aperture_compliance", 1, 1e-5),
+            ("matrix.pressure_stiffness", 2, 1e4),
+            ("fracture.pressure_stiffness", 3, 1e4),
+            ("matrix.porosity_compliance", 0, 1e-5),
+            ("fracture.aperture_compliance", 1, 1e-5),
         ];
-        let fields = (FIELDS.iter().zip(table)).map(|((name, unit), (from, variable, partner, floor))| Field {
-            name: (*name).into(),
-            unit: (*unit).into(),
-            from,
+        let fields = QUANTITIES.iter().filter(|quantity| quantity.referenced);
+        let fields = fields.zip(table).map(|(quantity, (variable, partner, floor))| Field {
+            name: quantity.name.into(),
+            unit: quantity.unit.into(),
+            from: if quantity.from == Role::Flow { FLOW } else { MECHANICS },
             sensitivity: Some(Sensitivity { variable: variable.into(), partner }),
             criterion: Criterion { tolerance: Number(1e-5), floor: Number(floor), norm: Norm::Largest },
         });

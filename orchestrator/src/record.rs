@@ -159,6 +159,10 @@ impl fmt::Display for Failure {
                         f.write_str(" …")?;
                     }
                 }
+                let last = attempt.iterations.last().map(IterationRecord::ratio);
+                if attempt.outcome == AttemptOutcome::NotConverged && last.is_some_and(|ratio| ratio <= 1.0) {
+                    f.write_str(" (but they shrink so slowly that the errors are above their limits)")?;
+                }
             }
         }
         for field in &self.fields {

@@ -561,6 +561,13 @@ mod tests {
         assert_eq!(starts, [1, 2]);
     }
 
+    /// Models speak of the fields that are exchanged.
+    #[test]
+    fn models_know_the_fields() {
+        let fields: Vec<&str> = QUANTITIES.iter().filter(|q| q.referenced).map(|q| q.name).collect();
+        assert_eq!(fields, model::FIELDS);
+    }
+
     #[test]
     fn names_are_unique_and_units_are_known() {
         let known = format!("{:?}", units());

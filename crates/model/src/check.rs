@@ -8,13 +8,8 @@ use crate::expression::{Function, Node, Scope, parse};
 use crate::value::compile;
 use crate::{ExpressionError, Model, Number, Value};
 
-/// The coupling fields of the two units, with their units of measure.
-pub const FIELDS: [(&str, &str); 4] = [
-    ("matrix.pressure", "Pa"),
-    ("fracture.pressure", "Pa"),
-    ("matrix.porosity_change", "1"),
-    ("fracture.aperture", "m"),
-];
+/// Names of the fields that the two units exchange.
+pub const FIELDS: [&str; 4] = ["matrix.pressure", "fracture.pressure", "matrix.porosity_change", "fracture.aperture"];
 
 /// Problems as path of the key and message.
 #[derive(Default)]
@@ -492,9 +487,8 @@ fn check_time(time: &Time, log: &mut Log) {
 }
 
 fn check_field(key: &str, name: &str, log: &mut Log) {
-    if FIELDS.iter().all(|f| f.0 != name) {
-        let known: Vec<_> = FIELDS.iter().map(|f| f.0).collect();
-        log.add(key, format!("there is no coupling field of this name; known: {}", known.join(", ")));
+    if !FIELDS.contains(&name) {
+        log.add(key, format!("there is no coupling field of this name; known: {}", FIELDS.join(", ")));
     }
 }
 

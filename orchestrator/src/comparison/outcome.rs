@@ -66,7 +66,7 @@ impl Outcome {
         let newton = |u: usize| iterations().filter_map(|i| i.newton[u]).reduce(|a, b| a + b);
         let accepted = self.records.iter().map(|r| r.iterations().len());
         Measures {
-            reached: self.records.last().map_or(0.0, |r| r.time),
+            reached: self.snapshots.last().map_or(0.0, |s| s.time),
             time_steps: self.records.len(),
             failed_attempts: self.attempts().filter(|(_, a)| a.outcome != AttemptOutcome::Converged).count(),
             iterations: iterations().count(),
@@ -82,14 +82,17 @@ impl Outcome {
     }
 
     /// L² norm of the difference of a field from that of `reference`, the largest of all times at which both have it,
-    /// over the largest L² norm of the reference.
+    /// over the largest L² norm of the reference; none on another mesh.
     fn error(&self, reference: &Self, field: &str) -> Option<f64> {
         /// Part of the time by which the same times may differ.
         const SAME: f64 = 1e-9;
+        if self.measures != reference.measures {
+            return None;
+        }
         let of = |s: &Snapshot| s.arrays.iter().find(|a| a.name == field).map(|a| (a.shape, a.values.clone()));
         let mut error: Option<f64> = None;
         let mut scale = 0.0_f64;
-        for there in &reference.snapshots[1..] {
+        for there in reference.snapshots.iter().skip(1) {
             let same = |s: &&Snapshot| (s.time - there.time).abs() <= SAME * there.time.abs();
             let Some((_, a)) = self.snapshots.iter().find(same).and_then(of) else { continue };
             let Some((shape, b)) = of(there) else { continue };
@@ -206,5 +209,11 @@ mod tests {
         let expected = (3.0_f64 * 4.0).sqrt() / (3.0_f64 * 49.0 + 4.0).sqrt();
         assert!((coarse.measure(Some(&fine)).errors[0].unwrap() - expected).abs() < 1e-12);
         assert_eq!(fine.measure(Some(&fine)).errors, [Some(0.0)]);
+        // On another mesh cells have nothing to do with one another.
+        let mut other = outcome(&[], &[(0.0, 9.0), (1.0, 2.0)]);
+        other.measures[0] = vec![1.0; 2];
+        assert_eq!(other.measure(Some(&fine)).errors, [None]);
+        // A run that ends in its first time step has reached its start.
+        assert_eq!(outcome(&[], &[(5.0, 9.0)]).measure(None).reached, 5.0);
     }
 }
