@@ -424,7 +424,8 @@ impl Totals {
             let names = ["a time step", "a derivative", "a triangular solve"];
             let each = names.into_iter().zip(cost.milliseconds()).filter_map(|(name, ms)| Some((name, ms?)));
             let each: Vec<String> = each.map(|(name, ms)| format!("{name} {ms:.1} ms")).collect();
-            let parts: Vec<String> = cost.parts().iter().map(|(name, s)| format!("{name} {s:.2}")).collect();
+            let parts = cost.parts().into_iter().filter(|part| part.1 != 0.0);
+            let parts: Vec<String> = parts.map(|(name, s)| format!("{name} {s:.2}")).collect();
             text += &format!(" {}; seconds: {}", each.join(", "), parts.join(", "));
         }
         if let Some(bytes) = peaks.largest() {

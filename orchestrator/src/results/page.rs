@@ -262,7 +262,8 @@ fn costs(costs: &[Cost]) -> String {
         each(format!("{} directional derivatives", grouped(cost.calls.derivative.count as usize)), derivative);
         let solves = cost.work.map_or(0.0, |work| work.solve_count);
         each(format!("{} triangular solves in them", grouped(solves as usize)), solve);
-        rows.extend(cost.parts().into_iter().map(|(name, seconds)| (name.into(), format!("{} s", short(seconds)))));
+        let parts = cost.parts().into_iter().filter(|part| part.1 != 0.0);
+        rows.extend(parts.map(|(name, seconds)| (name.into(), format!("{} s", short(seconds)))));
         html +=
             &format!("<details><summary>unit {}</summary><div class=\"wide\"><table><tbody>\n", escaped(&cost.unit));
         for (name, value) in rows {
