@@ -245,7 +245,7 @@ impl Reader {
         let within = |inner: &str, outer: &str| {
             outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
         };
-        let names = |changed: &String| !changed.is_empty() && message.contains(changed);
+        let names = |changed: &String| changed.contains('.') && message.contains(changed);
         let about = |changed: &String| within(key, changed) || within(changed, key) || names(changed);
         self.uses_unread(message) || self.changed.iter().any(about)
     }
