@@ -368,4 +368,10 @@ fn a_refused_guess_does_not_cut_the_time_step() {
     let text = succeed(&[&run[..], &fine].concat());
     let attempts: Vec<_> = text.lines().filter(|line| line.contains("\"attempts\":1,")).collect();
     assert_eq!(attempts.len(), 8, "{text}");
+    // Mechanics is factorised once, and solves once for the initial equilibrium, each time step and each derivative.
+    let summary: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+    let work = &summary["summary"]["units"]["mechanics"];
+    let count = |what: &str| work[what].as_f64().unwrap();
+    assert_eq!(count("factorisations"), 1.0);
+    assert_eq!(count("triangular_solves"), 1.0 + count("time_steps") + count("derivatives"), "{work}");
 }
