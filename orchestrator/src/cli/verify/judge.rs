@@ -260,7 +260,8 @@ fn number(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
         return format!("{value:.4e}");
     }
-    let decimals = 4 - value.abs().max(1.0).log10().floor() as i32;
+    // Five digits: a bound and what misses it narrowly must look different.
+    let decimals = if value == 0.0 { 0 } else { 4 - value.abs().log10().floor() as i32 };
     let text = format!("{value:.*}", decimals.max(0) as usize);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
@@ -481,6 +482,10 @@ mod tests {
             lines[0]
         );
         assert!(lines[3].contains("never looked at"), "{}", lines[3]);
+        assert_eq!(
+            [1.4518e-3, 1.45e-3, -0.5, 0.0, 4976.0, 12_345.678].map(number),
+            ["0.0014518", "0.00145", "-0.5", "0", "4976", "12346"]
+        );
         // What is not a number holds nothing.
         let found = verdicts(&claim("at_least = 0"), &[0.0, f64::NAN]);
         assert!(found.iter().flatten().all(|v| !v.0), "{found:?}");
