@@ -44,6 +44,22 @@ pub enum FileError {
         /// What is wrong with it.
         problem: String,
     },
+    /// A text is not what it must be.
+    #[error("{}: {} problem{}:{}", path.display(), problems.len(), if problems.len() == 1 { "" } else { "s" }, listed(problems))]
+    Problems {
+        /// The file.
+        path: PathBuf,
+        /// All that is wrong, each with line and keyword.
+        problems: Vec<String>,
+    },
+    /// The grid in a file cannot be made a mesh.
+    #[error("{}: {source}", path.display())]
+    Grid {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: mesh::generate::InputError,
+    },
     /// A field to be written has not one value for each entity.
     #[error("field \"{name}\" has {found} values; there are {expected} {entity}")]
     FieldLength {
@@ -67,6 +83,10 @@ impl FileError {
         let path = path.to_owned();
         |source| Self::Io { path, source }
     }
+}
+
+fn listed(problems: &[String]) -> String {
+    problems.iter().map(|problem| format!("\n  {problem}")).collect()
 }
 
 /// Lets `write` make a file under a temporary name beside `path`, then moves it there: whoever looks finds the old

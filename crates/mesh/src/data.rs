@@ -67,7 +67,7 @@ impl MeshData {
         Self::unnamed(3, vertices, faces.lists, cells)
     }
 
-    fn unnamed(dim: usize, vertices: Vec<Vec3>, faces: Lists, cells: Lists) -> Self {
+    pub(crate) fn unnamed(dim: usize, vertices: Vec<Vec3>, faces: Lists, cells: Lists) -> Self {
         Self {
             dim,
             vertices,

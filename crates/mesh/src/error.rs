@@ -201,7 +201,7 @@ pub struct MeshError {
 }
 
 /// How many problems a message spells out.
-const SHOWN: usize = 20;
+pub(crate) const SHOWN: usize = 20;
 
 impl fmt::Display for MeshError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

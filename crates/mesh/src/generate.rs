@@ -3,7 +3,7 @@
 mod arrangement;
 mod boxes;
 mod coarsen;
-mod columns;
+mod corner_point;
 mod extrude;
 mod input;
 mod polytopes;
@@ -13,7 +13,7 @@ mod triangles;
 
 pub(crate) use arrangement::side;
 pub use boxes::{cartesian, kershaw, perturb, tag_box};
-pub use columns::Columns;
+pub use corner_point::{CornerPoint, Fault};
 pub use extrude::extrude;
 pub use input::{InputError, InputProblem};
 pub use polytopes::{agglomerate, dual, unite_cells};

@@ -1,7 +1,7 @@
 //! Meshes for tests: sound, but none of them easy.
 
 use crate::generate::{
-    Columns, Triangles, agglomerate, cartesian, dual, extrude, kershaw, perturb, simplices, unite_cells,
+    CornerPoint, Fault, Triangles, agglomerate, cartesian, dual, extrude, kershaw, perturb, simplices, unite_cells,
 };
 use crate::{Mesh, MeshData, Vec3};
 
@@ -90,7 +90,7 @@ pub fn plane() -> Vec<Specimen> {
     add("non-convex cells, nearly touching", 8.0, bent);
 
     add("star around a square", 8.0, star());
-    add("columns displaced along a fault", 1.0, made(displaced().build()));
+    add("corner-point section with a throw", 1.0, section());
     zoo
 }
 
@@ -130,14 +130,45 @@ fn network_plane() -> MeshData {
     data
 }
 
-fn displaced() -> Columns<'static> {
-    Columns {
-        low: [0.0, 0.0],
-        high: [1.0, 1.0],
-        fault: [[0.4, 0.25], [0.5, 0.75]],
-        levels: [&[0.0, 0.25, 0.4, 0.6, 0.75, 1.0], &[0.0, 0.2, 0.33, 0.53, 0.75, 1.0]],
-        columns: [3, 2],
-    }
+/// A unit square in section, its layers displaced along a fault that the pillars follow.
+fn section() -> MeshData {
+    const HEIGHTS: [[f64; 6]; 2] = [[1.0, 0.75, 0.6, 0.4, 0.25, 0.0], [1.0, 0.75, 0.53, 0.33, 0.25, 0.0]];
+    let pillar = |i: usize, j: usize| {
+        let at = |x: f64, z: f64| Vec3::new(x, j as f64, z);
+        let bend = [0.0, 0.5, 1.0, 0.5, 0.0][i];
+        [at(0.25 * i as f64 - 0.1 * bend, 0.0), at(0.25 * i as f64 + 0.1 * bend, 1.0)]
+    };
+    let mut grid = CornerPoint::new([4, 1, 5], pillar, |[i, _, k], [_, _, lower]| HEIGHTS[i / 2][k + lower]);
+    let name = "fault".into();
+    grid.faults.push(Fault { name, first: [1, 0, 1], last: [1, 0, 3], axis: 0, upper: true });
+    made(grid.build(true)).0
+}
+
+/// A cube whose layers are displaced along two faults that meet, more at one end than at the other, so that lines
+/// cross between the pillars; some of these are skew, one layer is pinched out.
+fn faulted() -> MeshData {
+    let pillar = |i: usize, j: usize| {
+        let at = |lean: f64, z: f64| {
+            let inner = |n: usize| if n == 0 || n == 3 { 0.0 } else { lean };
+            // Skew where there is no fracture: contact is exact on planar ones only.
+            let (lean_i, lean_j) = (inner(i) * if i == 2 { 1.0 + 0.3 * j as f64 } else { 1.0 }, 0.5 * inner(j));
+            Vec3::new(i as f64 / 3.0 + lean_i, j as f64 / 3.0 + lean_j, z)
+        };
+        [at(-0.05, 0.0), at(0.05, 1.0)]
+    };
+    let height = |[i, j, k]: [usize; 3], [di, dj, dk]: [usize; 3]| {
+        let (x, y) = ((i + di) as f64 / 3.0, (j + dj) as f64 / 3.0);
+        let level = [1.0, 0.75, 0.5, 0.4 + 0.1 * f64::max(0.0, 1.0 - 3.0 * y), 0.2, 0.0][k + dk];
+        let throw = if i == 0 { 0.35 * y - 0.17 } else if j == 2 { 0.4 * (x - 0.6) } else { 0.0 };
+        level + throw * 2.0 * level * (1.0 - level)
+    };
+    let mut grid = CornerPoint::new([3, 3, 5], pillar, height);
+    let mut fault = |name: &str, first, last, axis| {
+        grid.faults.push(Fault { name: name.into(), first, last, axis, upper: true });
+    };
+    fault("along j", [0, 0, 1], [0, 2, 3], 0);
+    fault("along i", [1, 1, 0], [2, 1, 4], 1);
+    made(grid.build(false)).0
 }
 
 /// The meshes in three dimensions.
@@ -194,8 +225,9 @@ pub fn solid() -> Vec<Specimen> {
     let tiny = plane().into_iter().find(|specimen| specimen.name == "tiny face").map(|s| mesh(s.data));
     add("tiny faces", 4.0, made(extrude(&tiny.unwrap_or_else(|| unreachable!()), &[0.0, 0.5, 1.0], |_, _| true)));
     add("star-shaped prisms", 8.0, made(extrude(&mesh(star()), &[0.0, 1.0], |_, _| true)));
-    let fault = mesh(made(displaced().build()));
-    add("columns displaced along a fault, in depth", 1.0, made(extrude(&fault, &[0.0, 0.5, 1.0], |_, _| true)));
+    let fault = mesh(section());
+    add("corner-point section with a throw, in depth", 1.0, made(extrude(&fault, &[0.0, 0.5, 1.0], |_, _| true)));
+    add("corner-point grid with crossing lines and skew pillars", 1.0, faulted());
 
     let mut flat = tets.data().clone();
     flat.map_vertices(|x| Vec3::new(x.x, x.y, 1e-3 * x.z));

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{check, measure};
-use mesh::generate::{Columns, InputProblem, Triangles, cartesian, extrude, kershaw, perturb, simplices};
+use mesh::generate::{InputProblem, Triangles, cartesian, extrude, kershaw, perturb, simplices};
 use mesh::{EdgeKind, Mesh, MeshData, Vec3};
 
 /// The T of a horizontal fracture with a vertical one below it in (−1, 1)³.
@@ -155,30 +155,4 @@ fn extrusion_refuses_what_it_cannot_do() {
     let solid = Mesh::new(extrude(&plane, &[0.0, 1.0], |_, _| true).unwrap()).unwrap();
     let error = extrude(&solid, &[0.0, 1.0], |_, _| true).unwrap_err();
     assert_eq!(error.problems, [InputProblem::Dimension { needed: 2, found: 3 }]);
-}
-
-#[test]
-fn layers_are_displaced_along_a_fault() {
-    let columns = Columns {
-        low: [0.0, 0.0],
-        high: [1.0, 1.0],
-        fault: [[0.4, 0.25], [0.5, 0.75]],
-        levels: [&[0.0, 0.4, 0.6, 1.0], &[0.0, 0.33, 0.53, 1.0]],
-        columns: [3, 2],
-    };
-    let mesh = Mesh::new(columns.build().unwrap()).unwrap();
-    check("columns", &mesh);
-    assert!((measure(&mesh) - 1.0).abs() < 1e-14);
-    assert_eq!(mesh.cell_count(), 3 * 3 + 2 * 3);
-    // Heights .25, .33, .4, .53, .6, .75 on the fault.
-    assert_eq!(mesh.network().face_count(), 5);
-    let length: f64 = mesh.network().faces.iter().map(|&f| mesh.geometry().face_measure[f]).sum();
-    assert!((length - 0.1_f64.hypot(0.5)).abs() < 1e-14);
-    assert_eq!(edges(&mesh, EdgeKind::Tip), 2);
-
-    let bad = Columns { levels: [&[0.0, 0.6, 0.4, 1.0], &[0.1, 1.0]], fault: [[0.4, 0.25], [1.5, 0.75]], ..columns };
-    let problems = bad.build().unwrap_err().problems;
-    assert!(problems.contains(&InputProblem::Levels { index: 2, value: 0.4 }));
-    assert!(problems.contains(&InputProblem::Levels { index: 0, value: 0.1 }));
-    assert!(problems.iter().any(|p| matches!(p, InputProblem::Outside { x: 1.5, .. })));
 }

@@ -41,10 +41,11 @@ impl Model {
     /// Dimension of the mesh, where the description tells it.
     pub fn dim(&self) -> Option<usize> {
         let mesh = &self.mesh;
-        match (&mesh.cartesian, &mesh.triangles, &mesh.extrude) {
-            (_, _, Some(_)) => Some(3),
+        match (&mesh.cartesian, &mesh.triangles, &mesh.corner_point) {
+            _ if mesh.extrude.is_some() => Some(3),
             (Some(b), ..) => Some(b.low.0.len()),
-            (None, Some(_), None) => Some(2),
+            (None, Some(_), _) => Some(2),
+            (None, None, Some(grid)) => Some(if grid.section { 2 } else { 3 }),
             (None, None, None) => None,
         }
     }
@@ -372,10 +373,16 @@ impl Model {
 }
 
 fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
-    let given = [mesh.cartesian.is_some(), mesh.triangles.is_some(), mesh.file.is_some()];
+    let given =
+        [mesh.cartesian.is_some(), mesh.triangles.is_some(), mesh.corner_point.is_some(), mesh.file.is_some()];
     let count = given.iter().filter(|&&g| g).count();
     if count != 1 {
-        log.add("mesh", format!("exactly one of `box`, `triangles` and `file` is required, not {count}"));
+        log.add("mesh", format!("exactly one of `box`, `triangles`, `corner_point` and `file` is required, not {count}"));
+    }
+    if let Some(grid) = &mesh.corner_point {
+        for name in grid.regions.iter().flat_map(|r| r.names.keys()).filter(|name| name.parse::<i64>().is_err()) {
+            log.add(format!("mesh.corner_point.regions.names.{}", quote(name)), "the key must be a whole number");
+        }
     }
     if let Some(b) = &mesh.cartesian {
         let dim = b.low.0.len();
@@ -411,7 +418,8 @@ fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
         }
     }
     if let Some(extrude) = &mesh.extrude {
-        if mesh.cartesian.as_ref().is_some_and(|b| b.low.0.len() == 3) {
+        let is_solid = mesh.corner_point.as_ref().is_some_and(|grid| !grid.section);
+        if is_solid || mesh.cartesian.as_ref().is_some_and(|b| b.low.0.len() == 3) {
             log.add("mesh.extrude", "only a 2D mesh can be extruded");
         }
         let levels = &extrude.levels;

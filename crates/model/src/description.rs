@@ -52,14 +52,15 @@ pub struct Model {
     /// What a run leaves.
     #[serde(default)]
     pub output: Output,
-    /// Named changes to this file: tables that are laid over it when the variant is chosen.
+    /// Named changes to this file: tables that are laid over it when the variant is chosen. One with another source of the
+    /// mesh replaces all of `mesh`.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, BTreeMap<String, serde_json::Value>>")]
     pub variants: BTreeMap<String, toml::Table>,
 }
 
-/// Where the mesh comes from. Exactly one of `box`, `triangles` and `file`; the rest is applied in the order of the
-/// fields.
+/// Where the mesh comes from. Exactly one of `box`, `triangles`, `corner_point` and `file`; the rest is applied in the
+/// order of the fields.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshSource {
@@ -68,6 +69,8 @@ pub struct MeshSource {
     pub cartesian: Option<CartesianBox>,
     /// Triangles that conform to fractures.
     pub triangles: Option<Triangles>,
+    /// A corner-point grid.
+    pub corner_point: Option<CornerPoint>,
     /// A Gmsh (.msh) or HDF5 (.h5) file, relative to the model's folder.
     pub file: Option<PathBuf>,
     /// Fractures: the inner faces all of whose vertices satisfy an expression of x, y, z.
@@ -142,6 +145,36 @@ pub struct Line {
     pub points: Vec<Numbers<2>>,
     /// Length (m) of the faces on it.
     pub size: Option<Number>,
+}
+
+/// A corner-point grid. Boundary tags `left`, `right` along i, `front`, `back` along j, `bottom` and `top` below and above
+/// each column; fractures are the faults of the file (keyword `FAULTS`), and those of `fractures` below.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CornerPoint {
+    /// The file, GRDECL text, relative to the model's folder.
+    pub file: PathBuf,
+    /// Whether a grid of one row of cells along j is a section in 2D, of x and height.
+    #[serde(default)]
+    pub section: bool,
+    /// Height (m) of depth 0: depths of the file, positive downward, turn into heights below it.
+    #[serde(default)]
+    pub elevation: Number,
+    /// What tells the regions. Left out: all cells are in region `rock`.
+    pub regions: Option<CellNumbers>,
+    /// The faults of the file that are fractures. Left out: all.
+    pub faults: Option<Vec<String>>,
+}
+
+/// Regions by a number for each cell.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CellNumbers {
+    /// The keyword of the file that gives it, as `SATNUM`.
+    pub keyword: String,
+    /// Names of the regions by their number; others are called by their number.
+    #[serde(default)]
+    pub names: BTreeMap<String, String>,
 }
 
 /// Prisms over a 2D mesh; its sides in y, `bottom` and `top`, become `front` and `back`.

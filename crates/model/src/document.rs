@@ -51,12 +51,12 @@ impl Document {
         let mut tree = reader.parse(&padded[0]);
         for variant in variants {
             match named_variant(&tree, variant) {
-                Ok(table) => merge(&mut tree, table),
+                Ok(table) => lay_over(&mut tree, table),
                 Err(message) => reader.problem("variants".into(), None, message),
             }
         }
         for change in &padded[1..] {
-            merge(&mut tree, reader.parse(change));
+            lay_over(&mut tree, reader.parse(change));
         }
         reader.fail()?;
         let Some(model) = reader.deserialise(&tree) else {
@@ -172,6 +172,19 @@ fn place(sources: &[Source], span: &Range<usize>) -> Place {
     let line = before.matches('\n').count() + 1;
     let column = before.rsplit('\n').next().unwrap_or("").chars().count() + 1;
     Place { source: name.to_owned(), line, column }
+}
+
+/// Lays a variant or change over a model. One with another source of the mesh replaces all of `mesh`: what is said there
+/// of regions, tags and fractures belongs to the source.
+fn lay_over<'a>(tree: &mut DeTable<'a>, over: DeTable<'a>) {
+    let source = |tree: &DeTable<'a>| {
+        let mesh = tree.get("mesh")?.get_ref().as_table()?;
+        ["box", "triangles", "corner_point", "file"].into_iter().find(|&source| mesh.contains_key(source))
+    };
+    if source(&over).is_some_and(|new| source(tree).is_some_and(|old| old != new)) {
+        tree.remove("mesh");
+    }
+    merge(tree, over);
 }
 
 /// Lays one table over another: tables are united, all else is replaced.

@@ -7,10 +7,10 @@ use mesh::{EdgeKind, Mesh, MeshData, Vec3};
 
 use crate::document::Document;
 use crate::expression::{Function, Point, Scope};
-use crate::{Cells, Extrude, ModelError, Value};
+use crate::{Cells, CornerPoint, Extrude, ModelError, Value};
 
-/// Reads a mesh file.
-pub type ReadMesh<'a> = &'a dyn Fn(&Path) -> Result<MeshData, String>;
+/// Reads a mesh file; with the second argument, a corner-point grid.
+pub type ReadMesh<'a> = &'a dyn Fn(&Path, Option<&CornerPoint>) -> Result<MeshData, String>;
 
 impl Document {
     /// Makes the mesh, and checks that the model fits it. Files are relative to `folder` and read by `read`.
@@ -96,11 +96,11 @@ impl Document {
             }
             return Ok(triangles.build()?);
         }
-        let Some(file) = &source.file else {
-            return Err(self.invalid("mesh", "one of `box`, `triangles` and `file` is required"));
+        let Some(file) = source.corner_point.as_ref().map(|grid| &grid.file).or(source.file.as_ref()) else {
+            return Err(self.invalid("mesh", "one of `box`, `triangles`, `corner_point` and `file` is required"));
         };
         let path = folder.join(file);
-        read(&path).map_err(|reason| ModelError::MeshFile { path, reason })
+        read(&path, source.corner_point.as_ref()).map_err(|reason| ModelError::MeshFile { path, reason })
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use mesh::{Mesh, MeshData, Vec3};
-use model::{Document, Point, Scope, TipDistances};
+use model::{CornerPoint, Document, Point, Scope, TipDistances};
 
 fn folder(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models").join(name)
@@ -13,7 +13,7 @@ fn load(name: &str, variants: &[&str]) -> Document {
     Document::load(&folder(name), variants, &[]).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-fn no_files(_: &Path) -> Result<MeshData, String> {
+fn no_files(_: &Path, _: Option<&CornerPoint>) -> Result<MeshData, String> {
     Err("no files here".into())
 }
 

@@ -137,7 +137,7 @@ fn unknown_keys_and_ranges_together() {
 #[test]
 fn contradictions_and_ranges() {
     let changes = [
-        "mesh.triangles = { low = [0, 0], high = [1, 1], size = 0 }",
+        "mesh = { box = {}, triangles = { low = [0, 0], high = [1, 1], size = 0 } }",
         "regions.rock.poisson_ratio = 0.5",
         "regions.rock.permeability = [[1, 2], [2, 1]]",
         "define = { c = 'd + 1', d = 'c', x = 3 }",
@@ -156,7 +156,7 @@ fn contradictions_and_ranges() {
     changes[7] = "coupling = { loose = true, acceleration.aitken = {}, criteria.p = { tolerance = 0, floor = 1 } }";
     let found = problems(GOOD, &changes);
     for part in [
-        ":4:2: mesh: exactly one of `box`, `triangles` and `file` is required, not 2",
+        ":4:2: mesh: exactly one of `box`, `triangles`, `corner_point` and `file` is required, not 2",
         "mesh.triangles.size: 0 is out of range",
         "regions.rock.poisson_ratio: 0.5 is out of range; it must be between",
         "regions.rock.permeability: the tensor must be positive definite",

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use mesh::Mesh;
-use model::{Document, ForeignUnit};
+use mesh_io::Grdecl;
+use model::{CornerPoint, Document, ForeignUnit};
 use orchestrator::counted;
 
 use super::error::CliError;
@@ -35,9 +36,12 @@ impl Case {
     }
 
     pub(crate) fn mesh(&self) -> Result<Mesh, CliError> {
-        let read = |path: &Path| {
-            let is_hdf5 = path.extension().is_some_and(|e| e == "h5");
-            let data = if is_hdf5 { mesh_io::read_hdf5(path) } else { mesh_io::read_gmsh(path) };
+        let read = |path: &Path, grid: Option<&CornerPoint>| {
+            let data = match grid {
+                Some(grid) => mesh_io::read_grdecl(path, &grdecl(grid)),
+                None if path.extension().is_some_and(|e| e == "h5") => mesh_io::read_hdf5(path),
+                None => mesh_io::read_gmsh(path),
+            };
             data.map_err(|error| error.to_string())
         };
         Ok(self.document.mesh(&self.folder, &read)?)
@@ -77,6 +81,11 @@ impl Case {
 
 pub(crate) fn as_strs(list: &[String]) -> Vec<&str> {
     list.iter().map(String::as_str).collect()
+}
+
+fn grdecl(grid: &CornerPoint) -> Grdecl {
+    let (regions, names) = grid.regions.clone().map_or_else(Default::default, |r| (Some(r.keyword), r.names));
+    Grdecl { section: grid.section, elevation: grid.elevation.0, regions, names, faults: grid.faults.clone() }
 }
 
 fn find(path: &Path) -> Result<PathBuf, CliError> {

@@ -456,7 +456,8 @@ fn adapt(case: &mut Case, study: &Study) -> Result<(), CliError> {
     if !study.cut && time.adaptive.is_none() {
         time.minimum = Some(Number(step));
     }
-    if let Some(file) = &mut mesh.file {
+    let files = [mesh.file.as_mut(), mesh.corner_point.as_mut().map(|grid| &mut grid.file)];
+    for file in files.into_iter().flatten() {
         // Relative to the model's folder, which the run does not know.
         let path = case.folder.join(&*file);
         *file = path.canonicalize().map_err(CliError::file(&path))?;

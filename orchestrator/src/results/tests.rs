@@ -19,7 +19,7 @@ fn models() -> PathBuf {
 /// A model with its mesh, and the manifest of a run of it.
 fn case(name: &str, changes: &[&str]) -> (Manifest, Mesh) {
     let document = Document::load(&models().join(name), &[], changes).unwrap();
-    let mesh = document.mesh(&models(), &|_| unreachable!()).unwrap();
+    let mesh = document.mesh(&models(), &|_, _| unreachable!()).unwrap();
     let units = ["flow", "mechanics"].map(|name| UnitVersion { name: name.into(), version: "0.1.0".into() }).to_vec();
     let interface = Interface::poroelastic();
     let mut manifest = Manifest::new(name, &document, &[], changes, &mesh, &interface, units);

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::error::SHOWN;
+
 /// One thing that is wrong with the input of a generator.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -120,6 +122,40 @@ pub enum InputProblem {
         /// How many faces it has.
         faces: usize,
     },
+    /// A corner-point grid has too few or too many of something.
+    #[error("the grid has {found} {what}; it needs {expected}")]
+    Count {
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many there must be.
+        expected: usize,
+    },
+    /// A pillar of a corner-point grid is not sound.
+    #[error("pillar ({}, {}) {problem}", pillar[0] + 1, pillar[1] + 1)]
+    Pillar {
+        /// Its numbers along i and j, from 0 (in the message from 1, as in files).
+        pillar: [usize; 2],
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A cell of a corner-point grid is not sound.
+    #[error("cell ({}, {}, {}) {problem}", cell[0] + 1, cell[1] + 1, cell[2] + 1)]
+    GridCell {
+        /// Its numbers along i, j and k, from 0 (in the message from 1, as in files).
+        cell: [usize; 3],
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A fault of a corner-point grid lies beside a block of cells that is not there.
+    #[error("the cells of fault \"{name}\" must be ascending and in 1..{} x 1..{} x 1..{}", cells[0], cells[1], cells[2])]
+    Fault {
+        /// Its name.
+        name: String,
+        /// Number of cells of the grid.
+        cells: [usize; 3],
+    },
 }
 
 /// Everything that is wrong with the input of a generator.
@@ -146,7 +182,8 @@ impl fmt::Display for InputError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let n = self.problems.len();
         write!(f, "the geometry has {n} problem{}:", if n == 1 { "" } else { "s" })?;
-        self.problems.iter().try_for_each(|problem| write!(f, "\n  {problem}"))
+        self.problems.iter().take(SHOWN).try_for_each(|problem| write!(f, "\n  {problem}"))?;
+        if n > SHOWN { write!(f, "\n  and {} more", n - SHOWN) } else { Ok(()) }
     }
 }
 
