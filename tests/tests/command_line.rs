@@ -202,6 +202,25 @@ fn a_network_in_3d_meets_its_claims() {
 }
 
 /// Order 2 in h of Terzaghi's column on its two coarsest levels, a claim that does not hold, and one that cannot be read.
+/// C5 on a corner-point grid until it slips.
+#[test]
+fn a_fault_with_a_throw_slips() {
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    let run = ["run", "models/fault-reactivation", "--variant", "throw", "--quiet", "--output"];
+    let times = ["--set", "time.end='11*day'", "--set", "output.times=[]"];
+    succeed(&[&run[..], &[results.to_str().unwrap()], &times].concat());
+    let last = |name| column(&results, name).last().unwrap().1;
+    assert!(last("contact.slip") > 0.0);
+    // As much flows in as the case says, through 100 m of the left side.
+    assert!((last("boundary.inlet.inflow") - 2e-4).abs() < 1e-15);
+    let worst = |name| column(&results, name).iter().fold(0.0, |worst: f64, (_, v)| worst.max(v.abs()));
+    assert!(worst("mass_balance.error") < 1e-9 * 2e-4);
+    // Of tractions of 10 MPa.
+    assert!(worst("contact.violation") < 1.0);
+    assert!(column(&results, "energy.slack_relative").iter().all(|(_, slack)| *slack > -1e-6));
+}
+
 #[test]
 fn claims_are_orders_too_and_may_be_wrong() {
     let folder = tempfile::tempdir().unwrap();

@@ -35,7 +35,7 @@ fn throw(z: f64) -> f64 {
 }
 
 /// The text of the file.
-pub fn text() -> String {
+pub(crate) fn text() -> String {
     // From the top down.
     let outer = graded(7, 1.3);
     let above = outer.iter().rev().map(|d| (FAULT[1] + d * (SIZE - FAULT[1])).round());

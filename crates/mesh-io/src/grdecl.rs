@@ -95,7 +95,8 @@ impl<'a> File<'a> {
     /// Finds the keywords that are read.
     fn split(&mut self, text: &'a str, options: &Grdecl) {
         let arrays = |word: &str| {
-            ["SPECGRID", "DIMENS", "COORD", "ZCORN", "ACTNUM"].contains(&word) || options.regions.as_deref() == Some(word)
+            ["SPECGRID", "DIMENS", "COORD", "ZCORN", "ACTNUM"].contains(&word)
+                || options.regions.as_deref() == Some(word)
         };
         // The keyword that values now belong to, and whether it is read.
         let mut current: Option<(&str, bool)> = None;
@@ -123,8 +124,14 @@ impl<'a> File<'a> {
             let Some((keyword, is_read)) = current else { continue };
             for word in words {
                 if EDITS.contains(&keyword) && arrays(word) {
-                    self.problem(number, keyword, format!("it changes {word}, which is not followed; write out {word}"));
-                } else if keyword == "GRIDUNIT" && (word.eq_ignore_ascii_case("feet") || word.eq_ignore_ascii_case("cm")) {
+                    self.problem(
+                        number,
+                        keyword,
+                        format!("it changes {word}, which is not followed; write out {word}"),
+                    );
+                } else if keyword == "GRIDUNIT"
+                    && (word.eq_ignore_ascii_case("feet") || word.eq_ignore_ascii_case("cm"))
+                {
                     self.problem(number, keyword, format!("the unit is {word}; only METRES is read"));
                 }
             }
@@ -192,10 +199,14 @@ impl<'a> File<'a> {
                 self.problem(line, keyword, format!("there must be 1 to {MOST_CELLS} cells, not {ni} x {nj} x {nk}"));
                 return None;
             }
-            if let [_, _, _, (_, reservoirs), ..] = words[..] && reservoirs != "1" {
+            if let [_, _, _, (_, reservoirs), ..] = words[..]
+                && reservoirs != "1"
+            {
                 self.problem(line, keyword, format!("the number of reservoirs is {reservoirs}; it must be 1"));
             }
-            if let [.., (_, kind)] = words[..] && kind.eq_ignore_ascii_case("t") {
+            if let [.., (_, kind)] = words[..]
+                && kind.eq_ignore_ascii_case("t")
+            {
                 self.problem(line, keyword, "coordinates are cylindrical (T); they must be Cartesian (F)");
             }
             if found.is_some_and(|found| found != [ni, nj, nk]) {

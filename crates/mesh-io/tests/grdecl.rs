@@ -90,10 +90,14 @@ fn the_grid_of_the_fault_with_a_throw() {
     // The reservoir is 50 m lower on the left: along so much of the fault it meets caprock, above and below.
     let region = |cell: usize| &*mesh.data().regions[mesh.data().cell_region[cell]];
     let met = |wanted: [&str; 2]| -> f64 {
-        let height = |f: usize| (mesh.vertices()[mesh.face_vertices(f)[0]] - mesh.vertices()[mesh.face_vertices(f)[1]]).y.abs();
+        let height =
+            |f: usize| (mesh.vertices()[mesh.face_vertices(f)[0]] - mesh.vertices()[mesh.face_vertices(f)[1]]).y.abs();
         let sides = |f: usize| (mesh.face_cells(f).0, mesh.face_cells(f).1.unwrap());
         let left = |(a, b): (usize, usize)| if g.cell_center[a].x < g.cell_center[b].x { (a, b) } else { (b, a) };
-        let on = |f: usize| { let (a, b) = left(sides(f)); [region(a), region(b)] == wanted };
+        let on = |f: usize| {
+            let (a, b) = left(sides(f));
+            [region(a), region(b)] == wanted
+        };
         network.faces.iter().filter(|&&f| on(f)).map(|&f| height(f)).sum()
     };
     assert!((met(["3", "3"]) - 50.0).abs() < 1e-9 && (met(["3", "2"]) - 50.0).abs() < 1e-9);
@@ -154,7 +158,10 @@ fn damaged_files_are_refused_with_all_that_is_wrong() {
     let options = Grdecl { faults: Some(vec!["east".into()]), ..section() };
     refused(SECTION.into(), &options, &["FAULTS: there is no fault \"east\""]);
     // What only the grid shows.
-    let text = with(&[("2*12 2*12.25 2*12 2*12.25/", "2*10.5 2*12.25 2*10.5 2*12.25/"), ("1 1 1 1 1 2 'X'", "1 3 1 1 1 2 'X'")]);
+    let text = with(&[
+        ("2*12 2*12.25 2*12 2*12.25/", "2*10.5 2*12.25 2*10.5 2*12.25/"),
+        ("1 1 1 1 1 2 'X'", "1 3 1 1 1 2 'X'"),
+    ]);
     let found = read(&text, &section()).unwrap_err();
     assert!(matches!(&found, FileError::Grid { source, .. } if source.problems.len() == 1), "{found}");
     let found = read(text.replace("1 3 1 1 1 2 'X'", "1 1 1 1 1 2 'X'"), &section()).unwrap_err().to_string();

@@ -159,7 +159,13 @@ fn faulted() -> MeshData {
     let height = |[i, j, k]: [usize; 3], [di, dj, dk]: [usize; 3]| {
         let (x, y) = ((i + di) as f64 / 3.0, (j + dj) as f64 / 3.0);
         let level = [1.0, 0.75, 0.5, 0.4 + 0.1 * f64::max(0.0, 1.0 - 3.0 * y), 0.2, 0.0][k + dk];
-        let throw = if i == 0 { 0.35 * y - 0.17 } else if j == 2 { 0.4 * (x - 0.6) } else { 0.0 };
+        let throw = if i == 0 {
+            0.35 * y - 0.17
+        } else if j == 2 {
+            0.4 * (x - 0.6)
+        } else {
+            0.0
+        };
         level + throw * 2.0 * level * (1.0 - level)
     };
     let mut grid = CornerPoint::new([3, 3, 5], pillar, height);

@@ -373,11 +373,13 @@ impl Model {
 }
 
 fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
-    let given =
-        [mesh.cartesian.is_some(), mesh.triangles.is_some(), mesh.corner_point.is_some(), mesh.file.is_some()];
+    let given = [mesh.cartesian.is_some(), mesh.triangles.is_some(), mesh.corner_point.is_some(), mesh.file.is_some()];
     let count = given.iter().filter(|&&g| g).count();
     if count != 1 {
-        log.add("mesh", format!("exactly one of `box`, `triangles`, `corner_point` and `file` is required, not {count}"));
+        log.add(
+            "mesh",
+            format!("exactly one of `box`, `triangles`, `corner_point` and `file` is required, not {count}"),
+        );
     }
     if let Some(grid) = &mesh.corner_point {
         for name in grid.regions.iter().flat_map(|r| r.names.keys()).filter(|name| name.parse::<i64>().is_err()) {

@@ -42,6 +42,16 @@ fn all_models_and_variants_are_sound() {
 }
 
 #[test]
+fn another_source_of_the_mesh_replaces_all_of_it() {
+    let mesh = load("fault-reactivation", &["throw"]).model.mesh;
+    assert!(mesh.triangles.is_none() && mesh.regions.is_empty() && mesh.corner_point.is_some());
+    assert_eq!(load("fault-reactivation", &["throw"]).model.dim(), Some(2));
+    // The same source is only changed.
+    let fine = load("fault-reactivation", &["fine"]).model.mesh;
+    assert!(fine.triangles.is_some_and(|t| t.size.0 == 60.0 && t.growth.0 == 0.2) && fine.regions.len() == 2);
+}
+
+#[test]
 fn six_fractures_have_the_aperture_of_the_case() {
     let (document, mesh) = mesh("six-fractures", &[]);
     let tips = TipDistances::new(&mesh);

@@ -235,7 +235,7 @@ fn names_must_fit_the_mesh() {
         "flow.boundary.lid.inflow = 1",
     ];
     let document = Document::read("model.toml", GOOD, &[], &changes).unwrap();
-    let error = document.mesh(Path::new("."), &|_| Err(String::new())).unwrap_err().to_string();
+    let error = document.mesh(Path::new("."), &|_, _| Err(String::new())).unwrap_err().to_string();
     for part in [
         "mechanics.traction.0.on.0: no boundary face has the tag \"up\"; the mesh has bottom, left, right, top",
         "regions.salt: the mesh has nothing of this name; the mesh has rock",

@@ -28,7 +28,8 @@ fn main() -> ExitCode {
 
 fn pack(model: &Path, folder: &Path, changes: &[&str]) -> Result<(), Box<dyn Error>> {
     let document = Document::load(model, &[], changes)?;
-    let read = |file: &Path, _: Option<&model::CornerPoint>| mesh_io::read_gmsh(file).map_err(|error| error.to_string());
+    let read =
+        |file: &Path, _: Option<&model::CornerPoint>| mesh_io::read_gmsh(file).map_err(|error| error.to_string());
     let mesh = document.mesh(model, &read)?;
     let resources = folder.join("resources");
     std::fs::create_dir_all(&resources)?;

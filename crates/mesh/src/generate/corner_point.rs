@@ -357,9 +357,11 @@ impl<'a> Builder<'a> {
         let mut polygon: Vec<usize> = first.rev().collect();
         // Where the lower line of one crosses the upper line of the other, the polygon ends in a corner.
         let ends = [[a.low, b.high], [b.low, a.high]];
-        polygon.extend(ends.into_iter().filter(|[low, high]| low[0] > high[0]).filter_map(|[l, h]| self.crossing(l, h)));
+        polygon
+            .extend(ends.into_iter().filter(|[low, high]| low[0] > high[0]).filter_map(|[l, h]| self.crossing(l, h)));
         polygon.extend(self.crossing(a.low, b.low));
-        polygon.extend(ends.into_iter().filter(|[low, high]| low[0] < high[0]).filter_map(|[l, h]| self.crossing(l, h)));
+        polygon
+            .extend(ends.into_iter().filter(|[low, high]| low[0] < high[0]).filter_map(|[l, h]| self.crossing(l, h)));
         polygon.extend(second);
         polygon.extend(self.crossing(a.high, b.high));
         (polygon.len() > 2).then_some(polygon)
