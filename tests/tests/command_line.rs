@@ -208,7 +208,7 @@ fn a_fault_with_a_throw_slips() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
     let run = ["run", "models/fault-reactivation", "--variant", "throw", "--quiet", "--output"];
-    let times = ["--set", "time.end='11*day'", "--set", "output.times=[]"];
+    let times = ["--set", "time.end='9.5*day'", "--set", "output.times=[]"];
     succeed(&[&run[..], &[results.to_str().unwrap()], &times].concat());
     let last = |name| column(&results, name).last().unwrap().1;
     assert!(last("contact.slip") > 0.0);
