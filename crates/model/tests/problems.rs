@@ -135,6 +135,17 @@ fn unknown_keys_and_ranges_together() {
 }
 
 #[test]
+fn corner_point_grids_are_checked() {
+    let grid = "mesh.corner_point = { file = 'a.grdecl', regions = { keyword = 'FACIES', names = { sand = 'sand' } } }";
+    let found = problems(GOOD, &[grid, "mesh.extrude = { levels = [0, 1], layers = [1] }"]);
+    for part in ["names.sand: the key must be a whole number", "only a 2D mesh can be extruded", "3 rows of 3 numbers"]
+    {
+        assert!(found.iter().any(|f| f.contains(part)), "{part}: {found:#?}");
+    }
+    assert_eq!(found.len(), 3, "{found:#?}");
+}
+
+#[test]
 fn contradictions_and_ranges() {
     let changes = [
         "mesh = { box = {}, triangles = { low = [0, 0], high = [1, 1], size = 0 } }",

@@ -95,7 +95,8 @@ impl CornerPoint {
     ///
     /// Boundary tags: `left` and `right` along i, `front` and `back` along j, `bottom` and `top` below the lowest and
     /// above the highest cell of each column. Faces beside gaps and cells that are left out have none. One region,
-    /// `rock`.
+    /// `rock`. [`Mesh::new`](crate::Mesh::new) may refuse a cell in 3D that is thinner than its upper and lower faces are
+    /// twisted.
     ///
     /// # Errors
     /// All that is wrong with lengths, pillars, cells and faults.
