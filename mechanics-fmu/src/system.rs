@@ -349,12 +349,14 @@ fn assemble(
     let runs: Vec<Range<usize>> = (0..cells).step_by(batch).map(|k| k..cells.min(k + batch)).collect();
     for runs in runs.chunks(parts.len()) {
         parts = parts.into_par_iter().zip(runs).map(|(parts, run)| compute(run, parts)).collect::<Result<_, _>>()?;
-        for parts in &mut parts {
-            divergence.append(&parts.divergence)?;
-            fixed_triplets.append(&mut parts.fixed);
-        }
+        parts.iter_mut().for_each(|parts| fixed_triplets.append(&mut parts.fixed));
         let matrices: Vec<&CellMatrices> = parts.iter().map(|parts| &parts.stiffness).collect();
-        stiffness.add_cells(&matrices)?;
+        let (appended, added) = rayon::join(
+            || parts.iter().try_for_each(|parts| divergence.append(&parts.divergence)),
+            || stiffness.add_cells(&matrices),
+        );
+        appended?;
+        added?;
     }
     divergence.shrink();
     Ok((Csr::from_triplets(fixed.len(), unknown_count, &fixed_triplets)?, divergence))

@@ -162,6 +162,12 @@ impl<'a> Triangles<'a> {
             cloud.smooth(&triangles);
             triangles = cloud.triangulate(&constraints, &is_boundary);
         }
+        // Cells with vertices in common are near each other in memory too.
+        triangles.sort_unstable_by_key(|t| {
+            let mut key = *t;
+            key.sort_unstable();
+            key
+        });
         Ok(self.name(&cloud.points, &triangles, &outline))
     }
 
