@@ -42,8 +42,8 @@ const SWEEPS: usize = 5;
 /// Cycles after which another β is tried.
 const CYCLES: usize = 3;
 /// A response is refined until what is left is this part of it, well below what differences of time steps tell; each solve
-/// gains a factor of [`FORCING`] as a rule, and is repeated at most [`REFINEMENTS`] times.
-const REFINED: f64 = 1e-8;
+/// gains a factor of [`FORCING`] at least, and is repeated at most [`REFINEMENTS`] times.
+const REFINED: f64 = 1e-9;
 const REFINEMENTS: usize = 4;
 /// After β as set, these multiples of it are tried.
 const BETAS: [f64; 2] = [10.0, 100.0];
@@ -342,7 +342,7 @@ impl FractureProblem<'_, '_> {
             law.given = law.given.map(|value| value.map(|_| 0.0));
         }
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
-        let (mut total, mut last) = (vec![0.0; change.len()], 0.0);
+        let mut total = vec![0.0; change.len()];
         for _ in 0..REFINEMENTS {
             let mut rest = force.clone();
             (self.schur.add_product)(&total, &mut rest);
@@ -353,12 +353,9 @@ impl FractureProblem<'_, '_> {
             let correction = self.solve_linear(&laws, &rest, FORCING, &mut NewtonReport::default());
             let correction = correction.ok_or_else(|| SingularFracture(states.to_vec()))?;
             total.iter_mut().zip(&correction).for_each(|(t, c)| *t += c);
-            // The next correction would be smaller by the same factor.
-            let size = max_abs(&correction);
-            if size * (size / last).min(1.0) <= REFINED * max_abs(&total) {
+            if FORCING * max_abs(&correction) <= REFINED * max_abs(&total) {
                 break;
             }
-            last = size;
         }
         Ok(total)
     }
