@@ -1,6 +1,7 @@
 """What the tests share: the packed example unit, and instances of it."""
 
 import shutil
+import threading
 from pathlib import Path
 
 import fmpy
@@ -12,6 +13,8 @@ FOLDER = Path(__file__).parents[2] / "target" / "fmi"
 CASE = FOLDER / "c3"
 HEAT, ENABLED, TEMPERATURE, LOSS, HOTTEST, PHASE, STEPS = range(1, 8)
 AMBIENT, MAX_STEP, LABEL, BLOB, FAULT = range(8, 13)
+# FMPy changes the working directory of the process while it loads a library.
+LOADING = threading.Lock()
 
 
 class Host:
@@ -32,7 +35,8 @@ class Host:
             modelIdentifier=self.description.coSimulation.modelIdentifier,
             instanceName="bars",
         )
-        unit = FMU3Slave(**(arguments | changes))
+        with LOADING:
+            unit = FMU3Slave(**(arguments | changes))
         unit.instantiate(loggingOn=True, logMessage=told)
         return unit
 
