@@ -9,9 +9,9 @@
 //! zero and the aperture in contact.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use coupling::{Allowed, Role, Sizes, Table, Worker, identifier};
+use coupling::{Allowed, Role, Sizes, Table, Worker, identifier, timed};
 use fmi_unit::{
     Capabilities, DefaultExperiment, Description, Environment, Experiment, Log, Reference, StepOutcome, Type, Unit,
     UnitError, Values, ValuesMut, Variable,
@@ -427,15 +427,6 @@ fn add_wells(t: &mut Table<FlowUnit>, flow: &Flow, rate: &str) {
             );
         }
     }
-}
-
-/// Computes in the pool of threads, and adds the wall time. From outside of the pool each parallel loop would be handed over
-/// to it, which takes longer than many of them.
-fn timed<T: Send>(sum: &mut Duration, act: impl FnOnce() -> T + Send) -> T {
-    let clock = Instant::now();
-    let result = rayon::scope(|_| act());
-    *sum += clock.elapsed();
-    result
 }
 
 impl Worker for FlowUnit {

@@ -154,12 +154,7 @@ impl System {
         fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
         let sizes: Vec<usize> =
             is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
-        let mut free = Vec::with_capacity(unknown_count);
-        for (unknown, &fixed) in is_fixed.iter().enumerate() {
-            if !fixed {
-                free.push(unknown as u32);
-            }
-        }
+        let free: Vec<u32> = (0..unknown_count as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
         let cells = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
         let pattern = Arc::new(Pattern::with_sizes(&sizes, cells)?);
         let first_jump = (free.len() - dim * space.face_count()) as u32;

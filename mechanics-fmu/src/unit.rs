@@ -5,9 +5,9 @@
 //! parameters that the host has set.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table, Worker};
+use coupling::{Allowed, CONTACT_STATE, Role, Sizes, Table, Worker, timed};
 use fmi_unit::{
     Capabilities, DefaultExperiment, Description, Enumeration, Environment, Experiment, Log, Reference, StepOutcome,
     Type, Unit, UnitError, Values, ValuesMut, Variable,
@@ -378,15 +378,6 @@ impl Worker for MechanicsUnit {
             solve_count: work.solves as f64,
         }
     }
-}
-
-/// Computes in the pool of threads, and adds the wall time. From outside of the pool each parallel loop would be handed over
-/// to it, which takes longer than many of them.
-fn timed<T: Send>(sum: &mut Duration, act: impl FnOnce() -> T + Send) -> T {
-    let clock = Instant::now();
-    let result = rayon::scope(|_| act());
-    *sum += clock.elapsed();
-    result
 }
 
 impl Unit for MechanicsUnit {

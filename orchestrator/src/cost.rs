@@ -53,8 +53,13 @@ impl Cost {
         [of(self.calls.step), of(self.calls.derivative), solve]
     }
 
+    /// All of several, by the names of the units.
+    pub fn by_unit(costs: &[Self]) -> Value {
+        costs.iter().map(|cost| (cost.unit.clone(), cost.to_json())).collect::<serde_json::Map<_, _>>().into()
+    }
+
     /// All of it.
-    pub fn to_json(&self) -> Value {
+    fn to_json(&self) -> Value {
         let Calls { start, set, get, step, derivative, state, .. } = self.calls;
         let parts: serde_json::Map<_, _> = self.parts().into_iter().map(|(name, s)| (name.into(), json!(s))).collect();
         let count = |of: fn(&Work) -> f64| self.work.as_ref().map(of);

@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 
 pub use pack::pack_main;
 pub use resources::read_resources;
-pub use work::{WORK, Work, WorkVariable, Worker};
+pub use work::{WORK, Work, WorkVariable, Worker, timed};
 
 use fmi_unit::{Reference, Terminal, Type, UnitDefinition, UnitError, Values, ValuesMut, Variable};
 

@@ -1,5 +1,7 @@
 //! What a unit tells of the work it has done: local variables, which any unit may have and none must.
 
+use std::time::{Duration, Instant};
+
 use fmi_unit::{Type, Variable};
 use serde::{Deserialize, Serialize};
 
@@ -76,4 +78,13 @@ impl<U: Worker> Table<U> {
 pub trait Worker {
     /// What it has done up to now.
     fn work(&self) -> Work;
+}
+
+/// Computes in the pool of threads, and adds the wall time. From outside of the pool each parallel loop would be handed over
+/// to it, which takes longer than many of them.
+pub fn timed<T: Send>(sum: &mut Duration, act: impl FnOnce() -> T + Send) -> T {
+    let clock = Instant::now();
+    let result = rayon::scope(|_| act());
+    *sum += clock.elapsed();
+    result
 }

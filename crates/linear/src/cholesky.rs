@@ -122,10 +122,6 @@ impl Symbolic {
         &self.pattern
     }
 
-    fn factorisation_scratch(&self, par: Par) -> StackReq {
-        supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(&self.supernodes, par, Default::default())
-    }
-
     /// Stored entries of a factor. See [`Memory::factor_entries`].
     pub fn factor_entries(&self) -> usize {
         self.supernodes.len_val()
@@ -244,7 +240,11 @@ impl Cholesky {
         let symbolic = &*self.symbolic;
         let n = symbolic.len();
         let permuted: Vec<f64> = symbolic.source.iter().map(|&k| a.values()[k as usize]).collect();
-        let scratch = symbolic.factorisation_scratch(par);
+        let scratch = supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
+            &symbolic.supernodes,
+            par,
+            Default::default(),
+        );
         let mut memory = MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?;
         let lower = SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
         supernodal::factorize_supernodal_numeric_llt(

@@ -24,20 +24,8 @@ impl Csr {
             check_index("row", i as usize, rows)?;
             by_row[i as usize].push((j, v));
         }
-        Self::from_rows(cols, by_row)
-    }
-
-    /// A matrix with `cols` columns from its rows, each a list of (column, value) in any order; repeated places are
-    /// summed, in the order given.
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`].
-    pub fn from_rows<R>(cols: usize, rows: impl IntoIterator<Item = R>) -> Result<Self, Error>
-    where
-        R: IntoIterator<Item = (u32, f64)>,
-    {
         let mut csr = Self::empty(cols)?;
-        rows.into_iter().try_for_each(|row| csr.push_row(row))?;
+        by_row.into_iter().try_for_each(|row| csr.push_row(row))?;
         csr.shrink();
         Ok(csr)
     }
@@ -51,7 +39,8 @@ impl Csr {
         Ok(Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() })
     }
 
-    /// Appends a row, as in [`Csr::from_rows`]; the quicker if its columns ascend.
+    /// Appends a row of (column, value) in any order, the quicker if columns ascend; repeated places are summed, in the
+    /// order given.
     ///
     /// # Errors
     /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`]. The matrix must then not be used.

@@ -361,8 +361,6 @@ fn drive(
         Voice::Quiet => Ok(()),
         Voice::Json => {
             let seconds: serde_json::Map<_, _> = parts.into_iter().map(|(name, s)| (name, json!(s))).collect();
-            let costs: serde_json::Map<_, _> =
-                summary.units.iter().map(|cost| (cost.unit.clone(), cost.to_json())).collect();
             let line = json!({ "summary": {
                 "time_steps": totals.steps,
                 "coupling_iterations": totals.iterations,
@@ -370,7 +368,7 @@ fn drive(
                 "derivatives": totals.derivatives,
                 "newton_iterations": totals.newton,
                 "seconds": seconds,
-                "units": costs,
+                "units": Cost::by_unit(&summary.units),
                 "peak_memory": peaks.largest(),
                 "peak_memory_of_parts": peaks.of_parts(),
                 "results": folder.path().display().to_string(),

@@ -109,7 +109,7 @@ impl Totals {
             "newton_iterations": self.newton,
             "smallest_energy_slack": self.slack,
             "seconds": seconds,
-            "units": units(&summary.units),
+            "units": Cost::by_unit(&summary.units),
         });
         format!("{summary:#}\n")
     }
@@ -243,11 +243,6 @@ fn timings(manifest: &Manifest, totals: &Totals, summary: &Summary) -> String {
         html += &format!("<p>{all} in all; {low} to {high} in an accepted attempt.</p>\n");
     }
     html + &costs(&summary.units)
-}
-
-/// Costs by the names of the units.
-pub(crate) fn units(costs: &[Cost]) -> serde_json::Value {
-    costs.iter().map(|cost| (cost.unit.clone(), cost.to_json())).collect::<serde_json::Map<_, _>>().into()
 }
 
 /// Where the time of each unit went.
