@@ -16,7 +16,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use linear::{Method, Ordering, Par, Pattern, SparseSymmetric, Symbolic};
+use linear::{BlockGraph, Method, Ordering, Par, Pattern, SparseSymmetric, Symbolic};
 use mesh::{Mesh, Side, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -163,10 +163,12 @@ impl Scheme {
             })
             .collect();
         let clock = Instant::now();
-        let pattern = Arc::new(pattern(&mesh, &space, &unknown, count as usize)?);
+        let graph = graph(&mesh, &space, &unknown, count as usize)?;
         // In 2D minimum degree is as good as nested dissection, and quicker to find.
         let method = if mesh.dim() == 2 { Method::Amd } else { Method::Metis };
-        let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &[])?)?);
+        let pattern = Arc::new(Pattern::new(&graph, &Ordering::new(&graph, method, &[])?)?);
+        drop(graph);
+        let symbolic = Arc::new(Symbolic::new(&pattern)?);
         work.analyses += 1;
         work.analysis += clock.elapsed();
         let system = SparseSymmetric::zeros(pattern);
@@ -406,7 +408,7 @@ fn share(space: &Space, face: usize, facet: usize) -> f64 {
     space.facet_vector(facet).length() / facets.map(|f| space.facet_vector(f).length()).sum::<f64>()
 }
 
-fn pattern(mesh: &Mesh, space: &Space, unknown: &[Option<u32>], count: usize) -> Result<Pattern, linear::Error> {
+fn graph(mesh: &Mesh, space: &Space, unknown: &[Option<u32>], count: usize) -> Result<BlockGraph, linear::Error> {
     let network = mesh.network();
     let mut groups: Vec<Vec<u32>> = Vec::with_capacity(mesh.cell_count() + 3 * network.face_count());
     let numbers = |traces: &mut dyn Iterator<Item = usize>| traces.filter_map(|t| unknown[t]).collect();
@@ -419,5 +421,5 @@ fn pattern(mesh: &Mesh, space: &Space, unknown: &[Option<u32>], count: usize) ->
             groups.push(numbers(&mut space.side_traces(network.faces[i], i, side).chain([own])));
         }
     }
-    Pattern::uniform(count, 1, groups)
+    BlockGraph::uniform(count, 1, groups)
 }

@@ -13,7 +13,9 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use linear::{CellMatrices, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
+use linear::{
+    BlockGraph, CellMatrices, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic,
+};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
@@ -156,11 +158,12 @@ impl System {
             is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
         let free: Vec<u32> = (0..unknown_count as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
         let cells = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
-        let pattern = Arc::new(Pattern::with_sizes(&sizes, cells)?);
-        let first_jump = (free.len() - dim * space.face_count()) as u32;
-        let jumps: Vec<u32> = (first_jump..free.len() as u32).collect();
+        let graph = BlockGraph::with_sizes(&sizes, cells)?;
+        let jumps: Vec<u32> = (space.first_jump() as u32..space.entity_count() as u32).collect();
         let method = if dim == 2 { Method::Amd } else { Method::Metis };
-        let symbolic = Arc::new(Symbolic::new(&pattern, Ordering::new(&pattern, method, &jumps)?)?);
+        let pattern = Arc::new(Pattern::new(&graph, &Ordering::new(&graph, method, &jumps)?)?);
+        drop(graph);
+        let symbolic = Arc::new(Symbolic::new(&pattern)?);
 
         let analysis = lap(Stage::Analysis);
         let mut stiffness = SparseSymmetric::zeros(pattern);

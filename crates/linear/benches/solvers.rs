@@ -6,12 +6,11 @@ use std::time::Instant;
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
-use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::cholesky::{CholeskySymbolicParams, LltRef, SymmetricOrdering, factorize_symbolic_cholesky};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Side};
-use linear::{Cholesky, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic};
+use linear::{BlockGraph, Cholesky, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic};
 
 /// Cells of a grid of `n` vertices along each of `dim` axes.
 fn grid(n: usize, dim: usize) -> Vec<Vec<u32>> {
@@ -65,35 +64,34 @@ fn case(name: &str, n: usize, dim: usize, d: usize, m: usize, method: Method) {
     let cells = grid(n, dim);
     let blocks = n.pow(dim as u32);
     let start = Instant::now();
-    let pattern = Arc::new(Pattern::uniform(blocks, d, &cells).unwrap());
-    let t_pattern = start.elapsed().as_secs_f64();
+    let graph = BlockGraph::uniform(blocks, d, &cells).unwrap();
+    let t_graph = start.elapsed().as_secs_f64();
     let k = local(1 << dim, d);
-    let mut a = SparseSymmetric::zeros(Arc::clone(&pattern));
-    let t_assembly = time(3, || {
-        a.set_zero();
-        for cell in &cells {
-            a.add(cell, &k).unwrap();
-        }
-    });
-    let unknowns = pattern.len();
-    println!("\n{name}: {unknowns} unknowns, {} entries, {method:?}", pattern.entries());
-    println!("  pattern {t_pattern:.3} s, assembly {t_assembly:.3} s");
+    let unknowns = graph.len();
+    println!("\n{name}: {unknowns} unknowns, {method:?}, graph {t_graph:.3} s");
 
-    // Trailing: the unknowns of a plane through the middle, as a fracture would have.
-    let plane = blocks / 2 * d;
-    let trailing: Vec<u32> = (plane..plane + m).map(|u| u as u32).collect();
+    // Trailing: the blocks of a plane through the middle, as a fracture would have.
+    let plane = (blocks / 2) as u32;
+    let trailing: Vec<u32> = (plane..plane + (m / d) as u32).collect();
     for trailing in [&[][..], &trailing] {
         let start = Instant::now();
-        let ordering = Ordering::new(&pattern, method, trailing).unwrap();
+        let pattern = Arc::new(Pattern::new(&graph, &Ordering::new(&graph, method, trailing).unwrap()).unwrap());
         let t_order = start.elapsed().as_secs_f64();
-        let order = ordering.unknowns().to_vec();
+        let mut a = SparseSymmetric::zeros(Arc::clone(&pattern));
+        let t_assembly = time(3, || {
+            a.set_zero();
+            for cell in &cells {
+                a.add(cell, &k).unwrap();
+            }
+        });
         let start = Instant::now();
-        let symbolic = Arc::new(Symbolic::new(&pattern, ordering).unwrap());
+        let symbolic = Arc::new(Symbolic::new(&pattern).unwrap());
         let t_symbolic = start.elapsed().as_secs_f64();
         let entries = symbolic.factor_entries();
         println!(
-            "  trailing {}: order {t_order:.3} s, analysis {t_symbolic:.3} s, {:.2} M factor entries",
-            trailing.len(),
+            "  trailing {}: order and pattern {t_order:.3} s, {} entries, assembly {t_assembly:.3} s, analysis {t_symbolic:.3} s, {:.2} M factor entries",
+            pattern.trailing(),
+            pattern.entries(),
             entries as f64 * 1e-6
         );
         for par in [Par::Seq, Par::rayon(2)] {
@@ -110,7 +108,7 @@ fn case(name: &str, n: usize, dim: usize, d: usize, m: usize, method: Method) {
                 16e-9 * entries as f64 / t_solve
             );
             if trailing.is_empty() {
-                bare(&a, &order, par, t_factor, t_solve);
+                bare(&a, par, t_factor, t_solve);
             } else {
                 let mut forward = Forward::default();
                 let t_forward = time(5, || {
@@ -128,18 +126,14 @@ fn case(name: &str, n: usize, dim: usize, d: usize, m: usize, method: Method) {
 }
 
 /// The same with faer's own interface, and the time of reading the factor twice.
-fn bare(a: &SparseSymmetric, order: &[u32], par: Par, t_factor: f64, t_solve: f64) {
+fn bare(a: &SparseSymmetric, par: Par, t_factor: f64, t_solve: f64) {
     let n = a.len();
     let (ptr, row) = a.pattern().lower();
-    let structure = SymbolicSparseColMatRef::new_checked(n, n, ptr, None, row);
-    let mut inverse = vec![0u32; n];
-    for (k, &u) in order.iter().enumerate() {
-        inverse[u as usize] = k as u32;
-    }
+    let structure = SymbolicSparseColMatRef::new_checked(n, n, ptr, None, &row);
     let symbolic = factorize_symbolic_cholesky(
         structure,
         Side::Lower,
-        SymmetricOrdering::Custom(PermRef::new_checked(order, &inverse, n)),
+        SymmetricOrdering::Identity,
         CholeskySymbolicParams {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()

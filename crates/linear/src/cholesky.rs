@@ -10,7 +10,6 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{MatMut, Par};
 
 use crate::error::{Error, check_len};
-use crate::ordering::Ordering;
 use crate::panels::{Panels, Work};
 use crate::pattern::{Pattern, SparseSymmetric};
 use crate::tiles::{DenseSymmetric, Triangle};
@@ -32,16 +31,10 @@ pub struct Memory {
     pub total_bytes: usize,
 }
 
-/// The analysis of a pattern under an order: all that does not depend on values.
+/// The analysis of a pattern: all that does not depend on values.
 #[derive(Debug)]
 pub struct Symbolic {
     pattern: Arc<Pattern>,
-    ordering: Ordering,
-    /// Lower triangle in elimination order, and the place of each entry in the given values.
-    col_ptr: Vec<u32>,
-    row_idx: Vec<u32>,
-    source: Vec<u32>,
-    supernodes: supernodal::SymbolicSupernodalCholesky<u32>,
     panels: Panels,
 }
 
@@ -49,38 +42,10 @@ impl Symbolic {
     /// Analyses a pattern.
     ///
     /// # Errors
-    /// [`Error::Dimension`] if the order is for another number of unknowns, [`Error::TooLarge`] if
-    /// the factor would have 2³¹ entries or more, [`Error::OutOfMemory`].
-    pub fn new(pattern: &Arc<Pattern>, ordering: Ordering) -> Result<Self, Error> {
+    /// [`Error::TooLarge`] if the factor would have 2³¹ entries or more, [`Error::OutOfMemory`].
+    pub fn new(pattern: &Arc<Pattern>) -> Result<Self, Error> {
         let n = pattern.len();
-        check_len("ordering", n, ordering.unknown.len())?;
-        let mut position = vec![0u32; n];
-        for (k, &unknown) in ordering.unknown.iter().enumerate() {
-            position[unknown as usize] = k as u32;
-        }
-        // Sorting by rows, then stably by columns, gives the lower triangle by columns with
-        // ascending rows; the other way round gives the upper triangle.
-        let (col_ptr, row_idx, source, upper_ptr, upper_row);
-        {
-            let (given_ptr, given_row) = pattern.lower();
-            let mut columns = vec![0u32; given_row.len()];
-            let mut rows = vec![0u32; given_row.len()];
-            for j in 0..n {
-                for k in given_ptr[j] as usize..given_ptr[j + 1] as usize {
-                    let (p, q) = (position[j], position[given_row[k] as usize]);
-                    columns[k] = p.min(q);
-                    rows[k] = p.max(q);
-                }
-            }
-            let (_, by_rows) = bucket_sort(n, &rows, 0..rows.len() as u32);
-            (col_ptr, source) = bucket_sort(n, &columns, by_rows);
-            row_idx = source.iter().map(|&k| rows[k as usize]).collect::<Vec<u32>>();
-            let (ptr, mut upper) = bucket_sort(n, &rows, source.iter().copied());
-            upper.iter_mut().for_each(|k| *k = columns[*k as usize]);
-            (upper_ptr, upper_row) = (ptr, upper);
-        }
-        drop(position);
-
+        let (upper_ptr, upper_row) = transpose(n, pattern.lower());
         let upper = SymbolicSparseColMatRef::new_checked(n, n, &upper_ptr, None, &upper_row);
         let scratch = StackReq::any_of(&[
             simplicial::prefactorize_symbolic_cholesky_scratch::<u32>(n, upper_row.len()),
@@ -98,8 +63,7 @@ impl Symbolic {
             stack,
             SymbolicSupernodalParams::default(),
         )?;
-        let panels = Panels::new(&supernodes, ordering.leading);
-        Ok(Self { pattern: Arc::clone(pattern), ordering, col_ptr, row_idx, source, supernodes, panels })
+        Ok(Self { pattern: Arc::clone(pattern), panels: Panels::new(supernodes, pattern.leading()) })
     }
 
     /// Number of unknowns.
@@ -112,11 +76,6 @@ impl Symbolic {
         self.pattern.is_empty()
     }
 
-    /// The order.
-    pub fn ordering(&self) -> &Ordering {
-        &self.ordering
-    }
-
     /// The pattern.
     pub fn pattern(&self) -> &Arc<Pattern> {
         &self.pattern
@@ -124,27 +83,26 @@ impl Symbolic {
 
     /// Stored entries of a factor. See [`Memory::factor_entries`].
     pub fn factor_entries(&self) -> usize {
-        self.supernodes.len_val()
+        self.panels.supernodes().len_val()
     }
 }
 
-/// Sorts `items`, a permutation, stably by `key[item] < n`: the start of each key's run, and the items.
-fn bucket_sort(n: usize, key: &[u32], items: impl IntoIterator<Item = u32>) -> (Vec<u32>, Vec<u32>) {
+/// The upper triangle by columns of a pattern of which the lower one is given.
+fn transpose(n: usize, (col_ptr, rows): (&[u32], Vec<u32>)) -> (Vec<u32>, Vec<u32>) {
     let mut ptr = vec![0u32; n + 1];
-    for &k in key {
-        ptr[k as usize + 1] += 1;
-    }
-    for k in 0..n {
-        ptr[k + 1] += ptr[k];
+    rows.iter().for_each(|&i| ptr[i as usize + 1] += 1);
+    for i in 0..n {
+        ptr[i + 1] += ptr[i];
     }
     let mut next = ptr.clone();
-    let mut sorted = vec![0; key.len()];
-    for item in items {
-        let place = &mut next[key[item as usize] as usize];
-        sorted[*place as usize] = item;
-        *place += 1;
+    let mut columns = vec![0; rows.len()];
+    for (j, range) in col_ptr.windows(2).enumerate() {
+        for &i in &rows[range[0] as usize..range[1] as usize] {
+            columns[next[i as usize] as usize] = j as u32;
+            next[i as usize] += 1;
+        }
     }
-    (ptr, sorted)
+    (ptr, columns)
 }
 
 /// Work space of solves: one per thread that solves. Grows on first use, then stays.
@@ -237,28 +195,25 @@ impl Cholesky {
     }
 
     fn factorise(&mut self, a: &SparseSymmetric, par: Par) -> Result<(), Error> {
-        let symbolic = &*self.symbolic;
-        let n = symbolic.len();
-        let permuted: Vec<f64> = symbolic.source.iter().map(|&k| a.values()[k as usize]).collect();
-        let scratch = supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(
-            &symbolic.supernodes,
-            par,
-            Default::default(),
-        );
+        let Symbolic { pattern, panels } = &*self.symbolic;
+        let (n, supernodes) = (pattern.len(), panels.supernodes());
+        let (col_ptr, rows) = pattern.lower();
+        let lower = SymbolicSparseColMatRef::new_checked(n, n, col_ptr, None, &rows);
+        let scratch =
+            supernodal::factorize_supernodal_numeric_llt_scratch::<u32, f64>(supernodes, par, Default::default());
         let mut memory = MemBuffer::try_new(scratch).map_err(|_| Error::OutOfMemory)?;
-        let lower = SymbolicSparseColMatRef::new_checked(n, n, &symbolic.col_ptr, None, &symbolic.row_idx);
         supernodal::factorize_supernodal_numeric_llt(
             &mut self.factor,
-            SparseColMatRef::new(lower, &permuted),
+            SparseColMatRef::new(lower, a.values()),
             LltRegularization::default(),
-            &symbolic.supernodes,
+            supernodes,
             par,
             MemStack::new(&mut memory),
             Default::default(),
         )
         .map(|_| ())
         .map_err(|LltError::NonPositivePivot { index }| Error::NotPositiveDefinite {
-            unknown: symbolic.ordering.unknown[index] as usize,
+            unknown: pattern.unknowns()[index] as usize,
         })
     }
 
@@ -274,11 +229,9 @@ impl Cholesky {
             })
             .collect();
         let mut x = b.clone();
-        self.solve_valid(&mut x, &mut Scratch::default());
+        self.solve_ordered(&mut x, &mut Work::default());
         let mut r = vec![0.0; n];
-        if a.mul(&x, &mut r).is_err() {
-            return f64::NAN;
-        }
+        a.mul_ordered(&x, &mut r);
         // Unlike f64::max, keeps NaN.
         let norm = |v: &mut dyn Iterator<Item = f64>| v.fold(0.0f64, |m, e| if e.abs() <= m { m } else { e.abs() });
         let residual = norm(&mut r.iter().zip(&b).map(|(r, b)| r - b));
@@ -303,17 +256,11 @@ impl Cholesky {
 
     /// What the factorisation occupies.
     pub fn memory(&self) -> Memory {
-        let s = &*self.symbolic;
         let factor_bytes = size_of_val(&self.factor[..]);
-        let indices = s.col_ptr.len()
-            + s.row_idx.len()
-            + s.source.len()
-            + s.supernodes.row_idx().len()
-            + s.ordering.unknown.len();
         Memory {
             factor_entries: self.factor.len(),
             factor_bytes,
-            total_bytes: factor_bytes + indices * size_of::<u32>() + s.panels.bytes(),
+            total_bytes: factor_bytes + self.symbolic.pattern.bytes() + self.symbolic.panels.bytes(),
         }
     }
 
@@ -323,19 +270,19 @@ impl Cholesky {
     /// [`Error::Dimension`], [`Error::NotFactorised`].
     pub fn solve(&self, x: &mut [f64], scratch: &mut Scratch) -> Result<(), Error> {
         self.check(x.len())?;
-        self.solve_valid(x, scratch);
+        let Scratch { permuted, work } = scratch;
+        permuted.resize(x.len(), 0.0);
+        self.symbolic.pattern.gather(x, permuted);
+        self.solve_ordered(permuted, work);
+        self.symbolic.pattern.spread(permuted, x);
         Ok(())
     }
 
-    fn solve_valid(&self, x: &mut [f64], scratch: &mut Scratch) {
-        let Scratch { permuted, work } = scratch;
-        let symbolic = &*self.symbolic;
-        permuted.resize(x.len(), 0.0);
-        self.gather(x, permuted);
-        let panels = &symbolic.panels;
-        panels.forward(&self.factor, permuted, false, self.par, work);
-        panels.backward(&self.factor, permuted, false, self.par, work);
-        self.scatter(permuted, x);
+    /// x ← A⁻¹ x by positions.
+    fn solve_ordered(&self, x: &mut [f64], work: &mut Work) {
+        let panels = &self.symbolic.panels;
+        panels.forward(&self.factor, x, false, self.par, work);
+        panels.backward(&self.factor, x, false, self.par, work);
     }
 
     /// X ← A⁻¹ X, for a `len()` × k matrix.
@@ -347,7 +294,7 @@ impl Cholesky {
         let (n, k) = (x.nrows(), x.ncols());
         let Scratch { permuted, work } = scratch;
         permuted.resize(n * k, 0.0);
-        let order = self.symbolic.ordering.unknowns();
+        let order = self.symbolic.pattern.unknowns();
         for (j, column) in permuted.chunks_exact_mut(n.max(1)).enumerate() {
             for (p, &u) in column.iter_mut().zip(order) {
                 *p = x[(u as usize, j)];
@@ -371,9 +318,9 @@ impl Cholesky {
     /// [`Error::Dimension`], [`Error::NotFactorised`].
     pub fn forward(&self, b: &[f64], forward: &mut Forward, scratch: &mut Scratch) -> Result<(), Error> {
         self.check(b.len())?;
-        forward.leading = self.symbolic.ordering.leading;
+        forward.leading = self.symbolic.pattern.leading();
         forward.values.resize(b.len(), 0.0);
-        self.gather(b, &mut forward.values);
+        self.symbolic.pattern.gather(b, &mut forward.values);
         (self.symbolic.panels).forward(&self.factor, &mut forward.values, true, self.par, &mut scratch.work);
         Ok(())
     }
@@ -393,7 +340,7 @@ impl Cholesky {
     ) -> Result<(), Error> {
         self.check(x.len())?;
         check_len("forward", x.len(), forward.values.len())?;
-        let leading = self.symbolic.ordering.leading;
+        let leading = self.symbolic.pattern.leading();
         check_len("trailing values", x.len() - leading, trailing.len())?;
         let Scratch { permuted, work } = scratch;
         permuted.clear();
@@ -401,7 +348,7 @@ impl Cholesky {
         permuted.extend_from_slice(trailing);
         let panels = &self.symbolic.panels;
         panels.backward(&self.factor, permuted, true, self.par, work);
-        self.scatter(permuted, x);
+        self.symbolic.pattern.spread(permuted, x);
         Ok(())
     }
 
@@ -412,7 +359,7 @@ impl Cholesky {
     /// [`Error::NotFactorised`].
     pub fn schur(&self) -> Result<(DenseSymmetric, DenseSymmetric), Error> {
         self.check(self.len())?;
-        let mut lower = Triangle::identity_border(self.symbolic.ordering.trailing());
+        let mut lower = Triangle::identity_border(self.symbolic.pattern.trailing());
         self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
         Ok((lower.square(), lower.inverse()))
     }
@@ -423,7 +370,7 @@ impl Cholesky {
     /// [`Error::Dimension`], [`Error::NotFactorised`].
     pub fn add_schur_product(&self, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
         self.check(self.len())?;
-        let m = self.symbolic.ordering.trailing();
+        let m = self.symbolic.pattern.trailing();
         check_len("trailing values", m, x.len())?;
         check_len("product", m, y.len())?;
         self.symbolic.panels.trailing_product(&self.factor, x, y);
@@ -436,32 +383,22 @@ impl Cholesky {
         }
         check_len("vector", self.len(), len)
     }
-
-    fn gather(&self, x: &[f64], permuted: &mut [f64]) {
-        for (p, &u) in permuted.iter_mut().zip(&self.symbolic.ordering.unknown) {
-            *p = x[u as usize];
-        }
-    }
-
-    fn scatter(&self, permuted: &[f64], x: &mut [f64]) {
-        for (p, &u) in permuted.iter().zip(&self.symbolic.ordering.unknown) {
-            x[u as usize] = *p;
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Method;
+    use crate::{BlockGraph, Method, Ordering};
 
     /// A grid of `n` × `n` blocks of `size`, diagonally dominant.
-    fn grid(n: u32, size: usize) -> SparseSymmetric {
+    fn grid(n: u32, size: usize, trailing: &[u32]) -> SparseSymmetric {
         let cells: Vec<[u32; 4]> = (0..(n - 1) * (n - 1))
             .map(|k| k / (n - 1) * n + k % (n - 1))
             .map(|corner| [corner, corner + 1, corner + n, corner + n + 1])
             .collect();
-        let pattern = Arc::new(Pattern::uniform((n * n) as usize, size, &cells).unwrap());
+        let graph = BlockGraph::uniform((n * n) as usize, size, &cells).unwrap();
+        let ordering = Ordering::new(&graph, Method::Metis, trailing).unwrap();
+        let pattern = Arc::new(Pattern::new(&graph, &ordering).unwrap());
         let mut a = SparseSymmetric::zeros(pattern);
         let width = 4 * size;
         let local: Vec<f64> = (0..width * width)
@@ -477,10 +414,11 @@ mod tests {
     #[test]
     fn solves_do_not_depend_on_threads() {
         // Many subtrees; and one panel tall enough to be split.
-        for (a, subtrees, trailing) in [(grid(60, 2), true, 100), (grid(2, 400), false, 30)] {
-            let trailing: Vec<u32> = (0..trailing).map(|k| 3 * k + 5).collect();
-            let ordering = Ordering::new(a.pattern(), Method::Metis, &trailing).unwrap();
-            let symbolic = Arc::new(Symbolic::new(a.pattern(), ordering).unwrap());
+        let many: Vec<u32> = (0..50).map(|k| 3 * k + 5).collect();
+        for (a, subtrees, trailing) in [(grid(60, 2, &many), true, &many[..]), (grid(2, 400, &[3]), false, &[3])] {
+            let size = if subtrees { 2 } else { 400 };
+            let trailing: Vec<u32> = trailing.iter().flat_map(|b| b * size..(b + 1) * size).collect();
+            let symbolic = Arc::new(Symbolic::new(a.pattern()).unwrap());
             assert_eq!(symbolic.panels.subtrees() > 4, subtrees);
             let mut cholesky = Cholesky::new(&symbolic, &a, Par::Seq).unwrap();
             let b: Vec<f64> = (0..a.len()).map(|i| (i % 17) as f64 - 7.3).collect();

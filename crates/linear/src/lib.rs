@@ -13,10 +13,10 @@
 //! L = [L11 0; L21 L22], one factorisation gives plain solves, the condensed right-hand side
 //! b_g − A_gu A_uu⁻¹ b_u, and the Schur complement A_gg − A_gu A_uu⁻¹ A_ug = L22 L22ᵀ.
 //!
-//! 1. [`Pattern`] is built once from the blocks of each cell; [`SparseSymmetric`] holds values on
-//!    it and can be refilled.
-//! 2. [`Ordering`] chooses the elimination order, [`Symbolic`] analyses it.
-//! 3. [`Cholesky`] factorises, refactorises, and solves.
+//! 1. [`BlockGraph`] tells which blocks the cells couple, [`Ordering`] chooses the elimination order.
+//! 2. [`Pattern`] has the places of the entries in that order; [`SparseSymmetric`] holds values on
+//!    it and can be refilled. So a matrix is never copied to be ordered.
+//! 3. [`Symbolic`] analyses a pattern; [`Cholesky`] factorises, refactorises, and solves.
 //!
 //! Nothing here reads or writes files, knows a mesh, or has hidden global state; parallelism is
 //! the explicit [`Par`] argument. Indices are `u32`: at most 2³¹ − 1 unknowns, matrix entries, and
@@ -26,6 +26,7 @@ mod cholesky;
 mod csr;
 mod error;
 mod gmres;
+mod graph;
 mod ordering;
 mod panels;
 mod pattern;
@@ -36,6 +37,7 @@ pub use csr::Csr;
 pub use error::Error;
 pub use faer::{Mat, MatMut, MatRef, Par};
 pub use gmres::{Krylov, gmres};
+pub use graph::BlockGraph;
 pub use ordering::{Method, Ordering};
 pub use pattern::{CellMatrices, Pattern, SparseSymmetric};
 pub use tiles::DenseSymmetric;

@@ -9,7 +9,7 @@ use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 
 use crate::error::{Error, check_index, index};
-use crate::pattern::Pattern;
+use crate::graph::BlockGraph;
 
 /// How to reduce fill.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,62 +21,55 @@ pub enum Method {
     Amd,
 }
 
-/// An elimination order, and which unknowns are kept to the end.
+/// An elimination order of the blocks, and which of them are kept to the end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ordering {
-    /// The unknown at each position.
-    pub(crate) unknown: Vec<u32>,
-    /// Number of unknowns that are not trailing.
-    pub(crate) leading: usize,
+    /// The block at each place.
+    block: Vec<u32>,
+    trailing: usize,
 }
 
 impl Ordering {
-    /// Orders the unknowns of a pattern.
+    /// Orders the blocks of a graph.
     ///
-    /// The `trailing` unknowns come last, in the order of that list; they may be any part of
-    /// their blocks, and all or none of the unknowns.
+    /// The `trailing` blocks come last, in the order of that list; they may be all or none.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] or [`Error::Repeated`] for a wrong trailing unknown,
+    /// [`Error::OutOfRange`] or [`Error::Repeated`] for a wrong trailing block,
     /// [`Error::Ordering`] if nested dissection fails.
-    pub fn new(pattern: &Pattern, method: Method, trailing: &[u32]) -> Result<Self, Error> {
-        let n = pattern.len();
+    pub fn new(blocks: &BlockGraph, method: Method, trailing: &[u32]) -> Result<Self, Error> {
+        let n = blocks.blocks();
         let mut is_trailing = vec![false; n];
-        for &unknown in trailing {
-            check_index("trailing unknown", unknown as usize, n)?;
-            if std::mem::replace(&mut is_trailing[unknown as usize], true) {
-                return Err(Error::Repeated { what: "trailing unknown", index: unknown as usize });
+        for &block in trailing {
+            check_index("trailing block", block as usize, n)?;
+            if std::mem::replace(&mut is_trailing[block as usize], true) {
+                return Err(Error::Repeated { what: "trailing block", index: block as usize });
             }
         }
-        let graph = Graph::new(pattern, &is_trailing)?;
+        let graph = Graph::new(blocks, &is_trailing)?;
         let order = match method {
             Method::Metis => graph.metis()?,
             Method::Amd => graph.amd()?,
         };
-        let order = graph.post_order(&order);
-        let mut unknown: Vec<u32> = Vec::with_capacity(n);
-        for v in order {
-            let block = graph.block[v as usize] as usize;
-            let unknowns = pattern.unknowns(block);
-            unknown.extend(unknowns.filter(|&u| !is_trailing[u]).map(|u| u as u32));
-        }
-        let leading = unknown.len();
-        unknown.extend_from_slice(trailing);
-        Ok(Self { unknown, leading })
+        let empty = |&b: &u32| blocks.unknowns(b as usize).is_empty() && !is_trailing[b as usize];
+        let mut block: Vec<u32> = (0..n as u32).filter(empty).collect();
+        block.extend(graph.post_order(&order).into_iter().map(|v| graph.block[v as usize]));
+        block.extend_from_slice(trailing);
+        Ok(Self { block, trailing: trailing.len() })
     }
 
-    /// The unknown at each position of the order, the trailing unknowns last.
-    pub fn unknowns(&self) -> &[u32] {
-        &self.unknown
+    /// The block at each place of the order, the trailing blocks last.
+    pub fn blocks(&self) -> &[u32] {
+        &self.block
     }
 
-    /// Number of trailing unknowns.
+    /// Number of trailing blocks.
     pub fn trailing(&self) -> usize {
-        self.unknown.len() - self.leading
+        self.trailing
     }
 }
 
-/// The graph of the blocks that have leading unknowns; both directions of an edge, no loops.
+/// The graph of the blocks that have unknowns and are not trailing; both directions of an edge, no loops.
 struct Graph {
     block: Vec<u32>,
     ptr: Vec<i32>,
@@ -84,19 +77,19 @@ struct Graph {
 }
 
 impl Graph {
-    fn new(pattern: &Pattern, is_trailing: &[bool]) -> Result<Self, Error> {
-        let mut vertex = vec![None; pattern.blocks()];
+    fn new(blocks: &BlockGraph, is_trailing: &[bool]) -> Result<Self, Error> {
+        let mut vertex = vec![None; blocks.blocks()];
         let mut block = Vec::new();
-        for b in 0..pattern.blocks() {
-            if pattern.unknowns(b).any(|u| !is_trailing[u]) {
+        for b in 0..blocks.blocks() {
+            if !is_trailing[b] && !blocks.unknowns(b).is_empty() {
                 vertex[b] = Some(block.len());
                 block.push(b as u32);
             }
         }
         let edges = || {
-            (0..pattern.blocks()).flat_map(|b| {
+            (0..blocks.blocks()).flat_map(|b| {
                 let vertex = &vertex;
-                let others = pattern.rows_of_block(b)[1..].iter();
+                let others = blocks.neighbours_from(b)[1..].iter();
                 others.filter_map(move |&a| Some((vertex[b]?, vertex[a as usize]?)))
             })
         };
@@ -223,8 +216,8 @@ mod tests {
             let up = (v % 30 < 24).then_some([v, v + 6]);
             right.into_iter().chain(up)
         });
-        let pattern = Pattern::uniform(60, 1, cells).unwrap();
-        let graph = Graph::new(&pattern, &[false; 60]).unwrap();
+        let blocks = BlockGraph::uniform(60, 1, cells).unwrap();
+        let graph = Graph::new(&blocks, &[false; 60]).unwrap();
         let order: Vec<u32> = (0..60).map(|k| k * 7 % 60).collect();
         let (_, before) = eliminate(&graph, &order);
         let (parents, after) = eliminate(&graph, &graph.post_order(&order));

@@ -38,8 +38,9 @@ struct Panel {
     /// First unknown of the triangle, and number of columns.
     start: usize,
     cols: usize,
-    /// Rows below the triangle: a range of `Panels::rows`.
+    /// Rows below the triangle: a range of the rows of all supernodes, or of `Panels::cut_rows`.
     rows: std::ops::Range<usize>,
+    cut: bool,
     /// Place of the first entry, and distance of columns.
     value: usize,
     stride: usize,
@@ -77,8 +78,10 @@ struct Subtree {
 /// The factor's structure, in elimination order.
 #[derive(Debug)]
 pub(crate) struct Panels {
+    supernodes: SymbolicSupernodalCholesky<u32>,
     panels: Vec<Panel>,
-    rows: Vec<u32>,
+    /// Rows of the leading part of a supernode that was cut.
+    cut_rows: Vec<u32>,
     /// Panels before this one eliminate the leading unknowns.
     leading: usize,
     len: usize,
@@ -109,44 +112,38 @@ impl Work {
 }
 
 impl Panels {
-    /// Cuts the supernodes of `symbolic` at `split`, the number of leading unknowns.
-    pub(crate) fn new(symbolic: &SymbolicSupernodalCholesky<u32>, split: usize) -> Self {
-        let len = symbolic.nrows();
-        let mut panels: Vec<Panel> = Vec::new();
-        let mut rows: Vec<u32> = Vec::new();
+    /// Cuts the supernodes at `split`, the number of leading unknowns.
+    pub(crate) fn new(supernodes: SymbolicSupernodalCholesky<u32>, split: usize) -> Self {
+        let len = supernodes.nrows();
+        let mut panels: Vec<Panel> = Vec::with_capacity(supernodes.n_supernodes() + 1);
+        let mut cut_rows: Vec<u32> = Vec::new();
         let mut leading = None;
-        for s in 0..symbolic.n_supernodes() {
-            let start = symbolic.supernode_begin()[s] as usize;
-            let end = symbolic.supernode_end()[s] as usize;
-            let pattern = symbolic.supernode(s).pattern();
-            let value = symbolic.col_ptr_for_val()[s] as usize;
-            let stride = end - start + pattern.len();
+        for s in 0..supernodes.n_supernodes() {
+            let start = supernodes.supernode_begin()[s] as usize;
+            let end = supernodes.supernode_end()[s] as usize;
+            let rows_of = |s: usize| supernodes.col_ptr_for_row_idx()[s] as usize;
+            let rows = rows_of(s)..rows_of(s + 1);
+            let value = supernodes.col_ptr_for_val()[s] as usize;
+            let stride = end - start + rows.len();
             let cut = split.clamp(start, end);
-            let mut push = |from: usize, to: usize, panels: &mut Vec<Panel>| {
-                if from < to {
-                    let first_row = rows.len();
-                    rows.extend(to as u32..end as u32);
-                    rows.extend_from_slice(pattern);
-                    panels.push(Panel {
-                        start: from,
-                        cols: to - from,
-                        rows: first_row..rows.len(),
-                        value: value + (from - start) * (stride + 1),
-                        stride,
-                    });
-                }
-            };
-            push(start, cut, &mut panels);
+            if start < cut && cut < end {
+                cut_rows.extend(cut as u32..end as u32);
+                cut_rows.extend_from_slice(&supernodes.row_idx()[rows.clone()]);
+                panels.push(Panel { start, cols: cut - start, rows: 0..cut_rows.len(), cut: true, value, stride });
+            }
+            let from = if cut < end { cut } else { start };
             if cut < end {
                 leading.get_or_insert(panels.len());
             }
-            push(cut, end, &mut panels);
+            let value = value + (from - start) * (stride + 1);
+            panels.push(Panel { start: from, cols: end - from, rows, cut: false, value, stride });
         }
         let leading = leading.unwrap_or(panels.len());
         let tallest = panels.iter().map(Panel::height).max().unwrap_or(0);
         let mut result = Self {
+            supernodes,
             panels,
-            rows,
+            cut_rows,
             leading,
             len,
             subtrees: Vec::new(),
@@ -160,6 +157,17 @@ impl Panels {
         result
     }
 
+    /// What was cut.
+    pub(crate) fn supernodes(&self) -> &SymbolicSupernodalCholesky<u32> {
+        &self.supernodes
+    }
+
+    /// The rows below the triangle of a panel.
+    fn rows(&self, panel: &Panel) -> &[u32] {
+        let all = if panel.cut { &self.cut_rows } else { self.supernodes.row_idx() };
+        &all[panel.rows.clone()]
+    }
+
     fn find_subtrees(&mut self) {
         // A panel's parent holds its first row. Trailing panels are all on top.
         let mut panel_of = vec![0u32; self.len];
@@ -167,7 +175,7 @@ impl Panels {
             panel_of[panel.start..panel.start + panel.cols].fill(p as u32);
         }
         let parent: Vec<Option<usize>> = (self.panels.iter())
-            .map(|panel| self.rows[panel.rows.clone()].first())
+            .map(|panel| self.rows(panel).first())
             .map(|row| row.map(|&row| panel_of[row as usize] as usize))
             .collect();
         self.threads_pay = self.work_per_update(&panel_of) >= PARALLEL_UPDATE;
@@ -209,7 +217,7 @@ impl Panels {
         for panel in &self.panels {
             let (cols, height) = (panel.cols as f64, panel.height() as f64);
             work += cols * (height * (height - cols) + cols * cols / 3.0) / 2.0;
-            let rows = &self.rows[panel.rows.clone()];
+            let rows = self.rows(panel);
             let panels = rows.chunk_by(|&a, &b| panel_of[a as usize] == panel_of[b as usize]);
             updates += panels.count();
         }
@@ -228,8 +236,11 @@ impl Panels {
 
     /// Bytes of the structure.
     pub(crate) fn bytes(&self) -> usize {
-        self.panels.len() * size_of::<Panel>()
-            + (self.rows.len() + self.len + self.top.len()) * size_of::<u32>()
+        let s = &self.supernodes;
+        let indices = [s.row_idx(), s.supernode_begin(), s.col_ptr_for_row_idx(), s.col_ptr_for_val()];
+        size_of_val(&self.panels[..])
+            + indices.iter().map(|list| size_of_val(*list)).sum::<usize>()
+            + (self.cut_rows.len() + self.top_place.len() + self.top.len()) * size_of::<u32>()
             + self.top_panels.len() * size_of::<usize>()
     }
 
@@ -263,7 +274,7 @@ impl Panels {
             panel.forward(factor, &mut column[..panel.height()], par);
             let (triangle, below) = column.split_at(panel.cols);
             x[panel.start..panel.start + panel.cols].copy_from_slice(triangle);
-            for (&row, b) in self.rows[panel.rows.clone()].iter().zip(below) {
+            for (&row, b) in self.rows(panel).iter().zip(below) {
                 x[row as usize] += b;
             }
         }
@@ -294,7 +305,7 @@ impl Panels {
                     panel.forward(factor, column, Par::Seq);
                     let (triangle, below) = column.split_at(panel.cols);
                     x[own].copy_from_slice(triangle);
-                    for (&row, b) in self.rows[panel.rows.clone()].iter().zip(below) {
+                    for (&row, b) in self.rows(panel).iter().zip(below) {
                         let row = row as usize;
                         if row < unknowns.end {
                             x[row - from] += b;
@@ -332,7 +343,7 @@ impl Panels {
             let own = panel.start..panel.start + panel.cols;
             let column = &mut column[..panel.height()];
             column[..panel.cols].copy_from_slice(&x[own.clone()]);
-            for (&row, c) in (self.rows[panel.rows.clone()].iter()).zip(&mut column[panel.cols..]) {
+            for (&row, c) in (self.rows(panel).iter()).zip(&mut column[panel.cols..]) {
                 *c = x[row as usize];
             }
             panel.backward(factor, column, par);
@@ -363,7 +374,7 @@ impl Panels {
                     let own = panel.start - from..panel.start - from + panel.cols;
                     let column = &mut columns[..panel.height()];
                     column[..panel.cols].copy_from_slice(&x[own.clone()]);
-                    let rows = self.rows[panel.rows.clone()].iter();
+                    let rows = self.rows(panel).iter();
                     for (&row, c) in rows.zip(&mut column[panel.cols..]) {
                         let row = row as usize;
                         *c = if row < unknowns.end { x[row - from] } else { top[self.top_place[row] as usize] };
@@ -395,7 +406,7 @@ impl Panels {
             let (triangle, below) = panel.view(factor).split_at_row(panel.cols);
             let mut own = x.rb_mut().subrows_mut(panel.start, panel.cols);
             triangular_solve::solve_lower_triangular_in_place(triangle, own.rb_mut(), par);
-            let rows = &self.rows[panel.rows.clone()];
+            let rows = self.rows(panel);
             let update = &mut buffer[..rows.len() * k];
             let mut update = MatMut::from_column_major_slice_mut(update, rows.len(), k);
             matmul::matmul(update.rb_mut(), Accum::Replace, below, own.rb(), 1.0, par);
@@ -407,7 +418,7 @@ impl Panels {
         }
         for panel in self.panels.iter().rev() {
             let (triangle, below) = panel.view(factor).split_at_row(panel.cols);
-            let rows = &self.rows[panel.rows.clone()];
+            let rows = self.rows(panel);
             let values = &mut buffer[..rows.len() * k];
             let mut values = MatMut::from_column_major_slice_mut(values, rows.len(), k);
             for j in 0..k {
@@ -467,7 +478,7 @@ impl Panels {
         self.panels[self.leading..].iter().flat_map(move |panel| {
             (0..panel.cols).map(move |j| {
                 let (top, below) = panel.column(factor, j).split_at(panel.cols - j);
-                (panel.start + j - split, top, below, &self.rows[panel.rows.clone()])
+                (panel.start + j - split, top, below, self.rows(panel))
             })
         })
     }

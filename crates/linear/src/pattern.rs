@@ -1,210 +1,168 @@
 //! Sparse symmetric matrices assembled from cells.
 //!
-//! Only the lower triangle is stored, by columns, row indices ascending. The unknowns come in
+//! Only the lower triangle is stored, by columns, row indices ascending, in the order of elimination. The unknowns come in
 //! blocks, and the pattern couples whole blocks, so the entries that a block `a` has in the columns
 //! of a block `b` form a run in each column: a single search finds the place of a dense sub-block.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::error::{Error, check_index, check_len, index};
+use crate::graph::BlockGraph;
+use crate::ordering::Ordering;
 
-/// Which unknowns of a symmetric matrix are coupled.
-///
-/// Blocks are numbered from 0; block `k` holds the consecutive unknowns `unknowns(k)`.
+/// The places of the entries of a symmetric matrix, in an order of elimination.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pattern {
-    /// First unknown of each block, and the number of unknowns.
-    pub(crate) block_start: Vec<u32>,
-    /// Blocks ≥ b coupled to b, ascending, b first.
-    pub(crate) block_ptr: Vec<usize>,
-    pub(crate) block_row: Vec<u32>,
-    /// Number of unknowns in the earlier blocks of the same list.
+    /// Place of each block in the order.
+    place: Vec<u32>,
+    /// The caller's unknown at each position.
+    unknown: Vec<u32>,
+    /// First position of the block at each place, and the number of unknowns.
+    start: Vec<u32>,
+    /// Places ≥ p coupled to p, ascending, p first; and the number of unknowns in the earlier ones of the same list.
+    list_ptr: Vec<u32>,
+    list: Vec<u32>,
     offset: Vec<u32>,
-    /// Scalar lower triangle by columns.
-    pub(crate) col_ptr: Vec<u32>,
-    pub(crate) row_idx: Vec<u32>,
+    /// Start of each column of the lower triangle.
+    col_ptr: Vec<u32>,
+    /// Number of unknowns that are not trailing.
+    leading: usize,
 }
 
 impl Pattern {
-    /// The pattern of `blocks` blocks of `size` unknowns each. See [`Pattern::with_sizes`].
+    /// The pattern of a graph in an order of its blocks.
     ///
     /// # Errors
-    /// Those of [`Pattern::with_sizes`].
-    pub fn uniform<I>(blocks: usize, size: usize, cells: I) -> Result<Self, Error>
-    where
-        I: IntoIterator,
-        I::Item: AsRef<[u32]>,
-    {
-        Self::with_sizes(&vec![size; blocks], cells)
-    }
+    /// [`Error::Dimension`] if the order is for another number of blocks, [`Error::TooLarge`].
+    pub fn new(graph: &BlockGraph, ordering: &Ordering) -> Result<Self, Error> {
+        let blocks = graph.blocks();
+        check_len("ordering", blocks, ordering.blocks().len())?;
+        let mut place = vec![0; blocks];
+        let (mut start, mut unknown) = (vec![0], Vec::with_capacity(graph.len()));
+        for (p, &block) in ordering.blocks().iter().enumerate() {
+            place[block as usize] = p as u32;
+            unknown.extend(graph.unknowns(block as usize).map(|u| u as u32));
+            start.push(unknown.len() as u32);
+        }
+        let leading = start[blocks - ordering.trailing()] as usize;
 
-    /// The pattern in which all blocks of a cell are coupled with each other.
-    ///
-    /// `sizes[k]` is the number of unknowns of block `k` (0 is allowed); `cells` yields the blocks
-    /// of each cell (or of whatever else adds a dense contribution), in any order. The diagonal is
-    /// always part of the pattern.
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`] if a cell names a block that does not exist, [`Error::TooLarge`].
-    pub fn with_sizes<I>(sizes: &[usize], cells: I) -> Result<Self, Error>
-    where
-        I: IntoIterator,
-        I::Item: AsRef<[u32]>,
-    {
-        let n_blocks = sizes.len();
-        index(n_blocks)?;
-        let mut block_start = Vec::with_capacity(n_blocks + 1);
-        let mut n = 0usize;
-        block_start.push(0);
-        for &size in sizes {
-            n = n.checked_add(size).ok_or(Error::TooLarge)?;
-            block_start.push(index(n)?);
+        let pairs = || {
+            (0..blocks).flat_map(|b| {
+                let place = &place;
+                graph.neighbours_from(b).iter().map(move |&a| {
+                    let (p, q) = (place[a as usize], place[b]);
+                    (p.min(q) as usize, p.max(q))
+                })
+            })
+        };
+        let mut list_ptr = vec![0; blocks + 1];
+        pairs().for_each(|(column, _)| list_ptr[column + 1] += 1);
+        for p in 0..blocks {
+            list_ptr[p + 1] += list_ptr[p];
         }
-
-        // Cells of each block.
-        let mut cell_ptr = vec![0usize];
-        let mut cell_blocks = Vec::new();
-        for cell in cells {
-            for &block in cell.as_ref() {
-                check_index("block of a cell", block as usize, n_blocks)?;
-            }
-            cell_blocks.extend_from_slice(cell.as_ref());
-            cell_ptr.push(cell_blocks.len());
+        let mut next = list_ptr.clone();
+        let mut list = vec![0; list_ptr[blocks] as usize];
+        for (column, row) in pairs() {
+            list[next[column] as usize] = row;
+            next[column] += 1;
         }
-        let mut incident_ptr = vec![0usize; n_blocks + 1];
-        for &block in &cell_blocks {
-            incident_ptr[block as usize + 1] += 1;
-        }
-        for k in 0..n_blocks {
-            incident_ptr[k + 1] += incident_ptr[k];
-        }
-        let mut incident = vec![0u32; cell_blocks.len()];
-        let mut next = incident_ptr.clone();
-        for cell in 0..cell_ptr.len() - 1 {
-            for &block in &cell_blocks[cell_ptr[cell]..cell_ptr[cell + 1]] {
-                incident[next[block as usize]] = index(cell)?;
-                next[block as usize] += 1;
-            }
-        }
-
-        let mut block_ptr = vec![0usize];
-        let mut block_row: Vec<u32> = Vec::new();
-        let mut seen_from = vec![u32::MAX; n_blocks];
-        for b in 0..n_blocks as u32 {
-            let begin = block_row.len();
-            block_row.push(b);
-            seen_from[b as usize] = b;
-            let around = incident_ptr[b as usize]..incident_ptr[b as usize + 1];
-            for &cell in &incident[around] {
-                let cell = cell as usize;
-                for &a in &cell_blocks[cell_ptr[cell]..cell_ptr[cell + 1]] {
-                    if a > b && seen_from[a as usize] != b {
-                        seen_from[a as usize] = b;
-                        block_row.push(a);
-                    }
-                }
-            }
-            block_row[begin..].sort_unstable();
-            block_ptr.push(block_row.len());
-        }
-
-        let mut offset = Vec::with_capacity(block_row.len());
-        let mut nnz = 0usize;
-        for b in 0..n_blocks {
-            let mut height = 0usize;
-            for &a in &block_row[block_ptr[b]..block_ptr[b + 1]] {
-                offset.push(index(height)?);
-                height += sizes[a as usize];
-            }
-            nnz += (0..sizes[b]).map(|c| height - c).sum::<usize>();
-            index(nnz)?;
-        }
-        let mut col_ptr = Vec::with_capacity(n + 1);
-        let mut row_idx = Vec::with_capacity(nnz);
+        let mut offset = Vec::with_capacity(list.len());
+        let mut col_ptr = Vec::with_capacity(unknown.len() + 1);
         col_ptr.push(0);
-        for b in 0..n_blocks {
-            for column in block_start[b]..block_start[b + 1] {
-                for &a in &block_row[block_ptr[b]..block_ptr[b + 1]] {
-                    let begin = block_start[a as usize].max(column);
-                    row_idx.extend(begin..block_start[a as usize + 1]);
-                }
-                col_ptr.push(row_idx.len() as u32);
+        let size = |p: usize| (start[p + 1] - start[p]) as usize;
+        let mut entries = 0usize;
+        for p in 0..blocks {
+            let own = &mut list[list_ptr[p] as usize..list_ptr[p + 1] as usize];
+            own.sort_unstable();
+            let mut height = 0;
+            for &q in &*own {
+                offset.push(index(height)?);
+                height += size(q as usize);
+            }
+            for c in 0..size(p) {
+                entries += height - c;
+                col_ptr.push(index(entries)?);
             }
         }
-        Ok(Self { block_start, block_ptr, block_row, offset, col_ptr, row_idx })
+        Ok(Self { place, unknown, start, list_ptr, list, offset, col_ptr, leading })
     }
 
     /// Number of unknowns.
     pub fn len(&self) -> usize {
-        self.col_ptr.len() - 1
+        self.unknown.len()
     }
 
     /// Whether there are no unknowns.
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.unknown.is_empty()
     }
 
-    /// Number of blocks.
-    pub fn blocks(&self) -> usize {
-        self.block_start.len() - 1
+    /// Number of unknowns that are eliminated last.
+    pub fn trailing(&self) -> usize {
+        self.len() - self.leading
     }
 
-    /// The unknowns of a block.
-    ///
-    /// # Panics
-    /// If there is no such block.
-    pub fn unknowns(&self, block: usize) -> std::ops::Range<usize> {
-        self.block_start[block] as usize..self.block_start[block + 1] as usize
+    pub(crate) fn leading(&self) -> usize {
+        self.leading
+    }
+
+    /// The unknown, in the caller's numbering, at each position of the order.
+    pub fn unknowns(&self) -> &[u32] {
+        &self.unknown
     }
 
     /// Number of entries of the lower triangle with the diagonal.
     pub fn entries(&self) -> usize {
-        self.row_idx.len()
+        self.col_ptr.last().map_or(0, |&entries| entries as usize)
     }
 
-    /// Column pointers (length `len() + 1`) and row indices (length `entries()`, ascending in each
-    /// column) of the lower triangle.
-    pub fn lower(&self) -> (&[u32], &[u32]) {
-        (&self.col_ptr, &self.row_idx)
+    /// Column pointers (length `len() + 1`) and row positions (length `entries()`, ascending in each
+    /// column) of the lower triangle, which are made anew at each call.
+    pub fn lower(&self) -> (&[u32], Vec<u32>) {
+        let mut rows = Vec::with_capacity(self.entries());
+        for p in 0..self.place.len() {
+            for column in self.start[p]..self.start[p + 1] {
+                for q in self.list_of(p) {
+                    rows.extend(self.start[*q as usize].max(column)..self.start[*q as usize + 1]);
+                }
+            }
+        }
+        (&self.col_ptr, rows)
     }
 
-    /// Adds the contribution of a cell to the columns of some consecutive blocks, whose entries are `values`.
-    fn scatter(
-        &self,
-        columns: std::ops::Range<usize>,
-        values: &mut [f64],
-        blocks: &[u32],
-        local: &[f64],
-    ) -> Result<(), Error> {
+    /// Adds the contribution of a cell to the columns of the blocks at some consecutive places, whose entries are `values`.
+    fn scatter(&self, columns: Range<usize>, values: &mut [f64], blocks: &[u32], local: &[f64]) -> Result<(), Error> {
         let mut width = 0;
         for &block in blocks {
-            check_index("block", block as usize, self.blocks())?;
-            width += self.unknowns(block as usize).len();
+            check_index("block", block as usize, self.place.len())?;
+            width += self.positions(self.place[block as usize]).len();
         }
         check_len("local matrix", width * width, local.len())?;
-        let first = self.col_ptr[self.block_start[columns.start] as usize] as usize;
+        let first = self.first_entry(columns.start);
         let mut at_column = 0;
         for &b in blocks {
-            let own = self.unknowns(b as usize);
-            if !columns.contains(&(b as usize)) {
+            let p = self.place[b as usize];
+            let own = self.positions(p);
+            if !columns.contains(&(p as usize)) {
                 at_column += own.len();
                 continue;
             }
-            let begin = self.block_ptr[b as usize];
-            let list = self.rows_of_block(b as usize);
+            let (begin, list) = (self.list_ptr[p as usize] as usize, self.list_of(p as usize));
             let mut at_row = 0;
             for &a in blocks {
-                let rows = self.unknowns(a as usize);
-                if a >= b {
-                    let place = list
-                        .binary_search(&a)
-                        .map_err(|_| Error::NotInPattern { row: a as usize, column: b as usize })?;
-                    let offset = self.offset[begin + place] as usize;
+                let q = self.place[a as usize];
+                let rows = self.positions(q);
+                if q >= p {
+                    let found = list
+                        .binary_search(&q)
+                        .map_err(|_| Error::NotInPattern { row: a.max(b) as usize, column: a.min(b) as usize })?;
+                    let offset = self.offset[begin + found] as usize;
                     for c in 0..own.len() {
                         // Within the diagonal block, column c starts at its own row.
-                        let skip = if a == b { c } else { 0 };
+                        let skip = if p == q { c } else { 0 };
                         let start = self.col_ptr[own.start + c] as usize + offset + skip - c - first;
                         let values = &mut values[start..start + rows.len() - skip];
                         let from = (at_column + c) * width + at_row + skip;
@@ -220,9 +178,44 @@ impl Pattern {
         Ok(())
     }
 
-    /// The block neighbours ≥ `b`, `b` first.
-    pub(crate) fn rows_of_block(&self, b: usize) -> &[u32] {
-        &self.block_row[self.block_ptr[b]..self.block_ptr[b + 1]]
+    /// The positions of the block at a place.
+    fn positions(&self, place: u32) -> Range<usize> {
+        self.start[place as usize] as usize..self.start[place as usize + 1] as usize
+    }
+
+    /// The places ≥ `place` that are coupled to it.
+    fn list_of(&self, place: usize) -> &[u32] {
+        &self.list[self.list_ptr[place] as usize..self.list_ptr[place + 1] as usize]
+    }
+
+    /// The first entry in the columns of the blocks from a place on.
+    fn first_entry(&self, place: usize) -> usize {
+        self.col_ptr[self.start[place] as usize] as usize
+    }
+
+    /// The rows of a column below its diagonal, as runs of positions.
+    fn runs(&self, place: usize, column: usize) -> impl Iterator<Item = Range<usize>> + '_ {
+        let below = move |q: &u32| {
+            let rows = self.positions(*q);
+            rows.start.max(column + 1)..rows.end
+        };
+        self.list_of(place).iter().map(below)
+    }
+
+    /// Writes a vector in the caller's numbering by positions.
+    pub(crate) fn gather(&self, x: &[f64], ordered: &mut [f64]) {
+        ordered.iter_mut().zip(&self.unknown).for_each(|(o, &u)| *o = x[u as usize]);
+    }
+
+    /// Writes a vector by positions in the caller's numbering.
+    pub(crate) fn spread(&self, ordered: &[f64], x: &mut [f64]) {
+        ordered.iter().zip(&self.unknown).for_each(|(&o, &u)| x[u as usize] = o);
+    }
+
+    /// Bytes of the structure.
+    pub(crate) fn bytes(&self) -> usize {
+        let arrays = [&self.place, &self.unknown, &self.start, &self.list_ptr, &self.list, &self.offset, &self.col_ptr];
+        arrays.iter().map(|array| size_of_val(&array[..])).sum()
     }
 }
 
@@ -302,15 +295,14 @@ impl SparseSymmetric {
 
     /// Adds the dense symmetric contribution of a cell.
     ///
-    /// `local` is a square matrix by rows over the unknowns of `blocks`, in the order of that list.
-    /// Only one triangle per pair of unknowns is read: the one whose column is the larger global
-    /// unknown. A block may occur twice, its contributions are then all added.
+    /// `local` is a symmetric matrix over the unknowns of `blocks`, in the order of that list; one triangle is read. A block
+    /// may occur twice, its contributions are then all added.
     ///
     /// # Errors
     /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks
     /// of the same call may then have been added.
     pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
-        self.pattern.scatter(0..self.pattern.blocks(), &mut self.values, blocks, local)
+        self.pattern.scatter(0..self.pattern.place.len(), &mut self.values, blocks, local)
     }
 
     /// Adds the contributions of many cells, in the order given, as [`SparseSymmetric::add`] does one by one. Threads share
@@ -320,22 +312,21 @@ impl SparseSymmetric {
     /// Those of [`SparseSymmetric::add`]; some of the contributions may then have been added.
     pub fn add_cells(&mut self, parts: &[&CellMatrices]) -> Result<(), Error> {
         let pattern = &*self.pattern;
-        let shares = rayon::current_num_threads();
+        let (blocks, shares) = (pattern.place.len(), rayon::current_num_threads());
         let mut pieces = Vec::with_capacity(shares);
         let mut rest = &mut self.values[..];
         let (mut first, mut begin) = (0, 0);
         for share in 1..=shares {
-            let entry = (pattern.entries() * share / shares) as u32;
-            let start = |b: usize| pattern.col_ptr[pattern.block_start[b] as usize];
+            let wanted = pattern.entries() * share / shares;
             let mut end = first;
-            while end < pattern.blocks() && start(end) < entry {
+            while end < blocks && pattern.first_entry(end) < wanted {
                 end += 1;
             }
             // Blocks without unknowns at the end belong to the last share.
             if share == shares {
-                end = pattern.blocks();
+                end = blocks;
             }
-            let until = start(end) as usize;
+            let until = pattern.first_entry(end);
             let (own, after) = std::mem::take(&mut rest).split_at_mut(until - begin);
             pieces.push((first..end, own));
             (rest, first, begin) = (after, end, until);
@@ -349,51 +340,72 @@ impl SparseSymmetric {
             .collect()
     }
 
-    /// y ← A x, both of length `len()`.
+    /// y ← A x, both of length `len()`, in the caller's numbering.
     ///
     /// # Errors
     /// [`Error::Dimension`].
     pub fn mul(&self, x: &[f64], y: &mut [f64]) -> Result<(), Error> {
         check_len("x", self.len(), x.len())?;
         check_len("y", self.len(), y.len())?;
-        y.fill(0.0);
-        let (col_ptr, row_idx) = self.pattern.lower();
-        for j in 0..x.len() {
-            let range = col_ptr[j] as usize..col_ptr[j + 1] as usize;
-            let (rows, values) = (&row_idx[range.clone()], &self.values[range]);
-            // The diagonal is the first entry of a column.
-            let mut sum = values[0] * x[j];
-            for (&i, &a) in rows.iter().zip(values).skip(1) {
-                y[i as usize] += a * x[j];
-                sum += a * x[i as usize];
-            }
-            y[j] += sum;
-        }
+        let (mut ordered, mut product) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+        self.pattern.gather(x, &mut ordered);
+        self.mul_ordered(&ordered, &mut product);
+        self.pattern.spread(&product, y);
         Ok(())
+    }
+
+    /// y ← A x by positions.
+    pub(crate) fn mul_ordered(&self, x: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+        self.for_each_column(|column, mut values, runs| {
+            let mut sum = values[0] * x[column];
+            values = &values[1..];
+            for rows in runs {
+                let (own, rest) = values.split_at(rows.len());
+                values = rest;
+                for ((a, xi), yi) in own.iter().zip(&x[rows.clone()]).zip(&mut y[rows]) {
+                    *yi += a * x[column];
+                    sum += a * xi;
+                }
+            }
+            y[column] += sum;
+        });
     }
 
     /// The largest sum of absolute values in a row, ‖A‖ in the maximum norm.
     pub fn norm(&self) -> f64 {
-        let (col_ptr, row_idx) = self.pattern.lower();
         let mut sums = vec![0.0; self.len()];
-        for j in 0..self.len() {
-            for k in col_ptr[j] as usize..col_ptr[j + 1] as usize {
-                let i = row_idx[k] as usize;
-                sums[i] += self.values[k].abs();
-                if i != j {
-                    sums[j] += self.values[k].abs();
-                }
+        self.for_each_column(|column, mut values, runs| {
+            sums[column] += values.iter().map(|a| a.abs()).sum::<f64>();
+            values = &values[1..];
+            for rows in runs {
+                let (own, rest) = values.split_at(rows.len());
+                values = rest;
+                own.iter().zip(&mut sums[rows]).for_each(|(a, s)| *s += a.abs());
             }
-        }
+        });
         sums.into_iter().fold(0.0, f64::max)
     }
 
-    /// The position of the first infinite or undefined entry, as an error.
+    /// Calls `act` with each column, its values, the diagonal first, and the runs of its other rows.
+    fn for_each_column<'a>(&'a self, mut act: impl FnMut(usize, &'a [f64], &mut dyn Iterator<Item = Range<usize>>)) {
+        let pattern = &*self.pattern;
+        for place in 0..pattern.place.len() {
+            for column in pattern.positions(place as u32) {
+                let entries = pattern.col_ptr[column] as usize..pattern.col_ptr[column + 1] as usize;
+                act(column, &self.values[entries], &mut pattern.runs(place, column));
+            }
+        }
+    }
+
+    /// The place of the first infinite or undefined entry, in the caller's numbering, as an error.
     pub(crate) fn check_finite(&self) -> Result<(), Error> {
         let Some(k) = self.values.iter().position(|v| !v.is_finite()) else {
             return Ok(());
         };
-        let (col_ptr, row_idx) = self.pattern.lower();
-        Err(Error::NonFinite { row: row_idx[k] as usize, column: col_ptr.partition_point(|&p| p as usize <= k) - 1 })
+        let (col_ptr, rows) = self.pattern.lower();
+        let column = col_ptr.partition_point(|&p| p as usize <= k) - 1;
+        let [i, j] = [rows[k] as usize, column].map(|position| self.pattern.unknown[position] as usize);
+        Err(Error::NonFinite { row: i.max(j), column: i.min(j) })
     }
 }

@@ -4,8 +4,8 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Random, assemble, grid, local};
-use linear::{Csr, Error, Pattern, SparseSymmetric};
+use common::{Random, System, grid, local, pattern};
+use linear::{BlockGraph, CellMatrices, Csr, Error, Method, Ordering, Pattern, SparseSymmetric};
 use proptest::prelude::*;
 
 /// Block sizes, and cells over these blocks (repetitions allowed).
@@ -21,9 +21,12 @@ proptest! {
     #[test]
     fn assembly_equals_dense_sum((sizes, cells) in systems(), seed in 1u64..1000) {
         let mut random = Random(seed);
-        let (sparse, dense) = assemble(&sizes, &cells, &mut random);
+        let system = System::new(&sizes, &cells, &mut random);
+        let trailing = random.choose(sizes.len(), sizes.len() / 3);
+        let (sparse, dense) = (system.sparse(Method::Amd, &trailing), &system.dense);
         let n = sparse.len();
         prop_assert_eq!(n, sizes.iter().sum::<usize>());
+        let order = sparse.pattern().unknowns();
         let (ptr, row) = sparse.pattern().lower();
         let mut rebuilt = faer::Mat::<f64>::zeros(n, n);
         for j in 0..n {
@@ -31,11 +34,12 @@ proptest! {
             prop_assert!(row[range.clone()].is_sorted_by(|a, b| a < b));
             prop_assert_eq!(row[range.start] as usize, j);
             for k in range {
-                rebuilt[(row[k] as usize, j)] = sparse.values()[k];
-                rebuilt[(j, row[k] as usize)] = sparse.values()[k];
+                let [i, j] = [row[k] as usize, j].map(|position| order[position] as usize);
+                rebuilt[(i, j)] = sparse.values()[k];
+                rebuilt[(j, i)] = sparse.values()[k];
             }
         }
-        prop_assert!((&rebuilt - &dense).norm_max() <= 1e-12 * dense.norm_max());
+        prop_assert!((&rebuilt - dense).norm_max() <= 1e-12 * dense.norm_max());
 
         let x = random.vector(n);
         let mut y = vec![f64::NAN; n];
@@ -51,7 +55,8 @@ proptest! {
 
     #[test]
     fn pattern_couples_exactly_the_blocks_of_a_cell((sizes, cells) in systems()) {
-        let pattern = Pattern::with_sizes(&sizes, &cells).unwrap();
+        let graph = BlockGraph::with_sizes(&sizes, &cells).unwrap();
+        let pattern = pattern(&graph, Method::Metis, &[]);
         let mut coupled = 0;
         for a in 0..sizes.len() {
             for b in 0..=a {
@@ -100,8 +105,8 @@ proptest! {
 #[test]
 fn refilling_repeats_the_same_bits() {
     let cells = grid(5, 4, 3);
-    let pattern = Arc::new(Pattern::uniform(60, 3, &cells).unwrap());
-    let mut a = SparseSymmetric::zeros(pattern);
+    let graph = BlockGraph::uniform(60, 3, &cells).unwrap();
+    let mut a = SparseSymmetric::zeros(pattern(&graph, Method::Metis, &[7]));
     let fill = |a: &mut SparseSymmetric| {
         let mut random = Random(3);
         for cell in &cells {
@@ -116,15 +121,37 @@ fn refilling_repeats_the_same_bits() {
 }
 
 #[test]
+fn many_cells_add_up_as_one_by_one_on_any_number_of_threads() {
+    let cells = grid(5, 4, 3);
+    let mut random = Random(4);
+    let matrices: Vec<Vec<f64>> = cells.iter().map(|_| local(&mut random, 24)).collect();
+    let graph = BlockGraph::uniform(60, 3, &cells).unwrap();
+    let mut one_by_one = SparseSymmetric::zeros(pattern(&graph, Method::Metis, &[7, 3]));
+    cells.iter().zip(&matrices).for_each(|(cell, k)| one_by_one.add(cell, k).unwrap());
+    let mut parts = [CellMatrices::default(), CellMatrices::default()];
+    for (k, (cell, matrix)) in cells.iter().zip(&matrices).enumerate() {
+        parts[k * 2 / cells.len()].push(cell.iter().copied(), matrix.iter().copied());
+    }
+    for threads in [1, 2, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut a = SparseSymmetric::zeros(Arc::clone(one_by_one.pattern()));
+        pool.install(|| a.add_cells(&[&parts[0], &parts[1]])).unwrap();
+        assert!(a.values() == one_by_one.values());
+    }
+}
+
+#[test]
 fn wrong_input_is_reported() {
     let cells = [[0u32, 1], [1, 2]];
     assert_eq!(
-        Pattern::uniform(2, 2, cells).unwrap_err(),
+        BlockGraph::uniform(2, 2, cells).unwrap_err(),
         Error::OutOfRange { what: "block of a cell", index: 2, bound: 2 }
     );
-    assert_eq!(Pattern::with_sizes(&[usize::MAX, 1], [[0u32]]).unwrap_err(), Error::TooLarge);
-    let pattern = Arc::new(Pattern::uniform(3, 2, cells).unwrap());
-    let mut a = SparseSymmetric::zeros(pattern);
+    assert_eq!(BlockGraph::with_sizes(&[usize::MAX, 1], [[0u32]]).unwrap_err(), Error::TooLarge);
+    let graph = BlockGraph::uniform(3, 2, cells).unwrap();
+    let other = Ordering::new(&BlockGraph::uniform(2, 3, [[0u32, 1]]).unwrap(), Method::Amd, &[]).unwrap();
+    assert_eq!(Pattern::new(&graph, &other).unwrap_err(), Error::Dimension { what: "ordering", expected: 3, found: 2 });
+    let mut a = SparseSymmetric::zeros(pattern(&graph, Method::Amd, &[]));
     assert_eq!(a.add(&[0, 2], &[0.0; 16]).unwrap_err(), Error::NotInPattern { row: 2, column: 0 });
     assert_eq!(
         a.add(&[0, 1], &[0.0; 4]).unwrap_err(),

@@ -4,16 +4,15 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Random, assemble, grid};
+use common::{Random, System, grid, pattern};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
-use linear::{Cholesky, Error, Forward, Method, Ordering, Par, Pattern, Scratch, SparseSymmetric, Symbolic};
+use linear::{BlockGraph, Cholesky, Error, Forward, Method, Ordering, Par, Scratch, SparseSymmetric, Symbolic};
 
 const METHODS: [Method; 2] = [Method::Metis, Method::Amd];
 
-fn symbolic(pattern: &Arc<Pattern>, method: Method, trailing: &[u32]) -> Arc<Symbolic> {
-    let ordering = Ordering::new(pattern, method, trailing).unwrap();
-    Arc::new(Symbolic::new(pattern, ordering).unwrap())
+fn symbolic(a: &SparseSymmetric) -> Arc<Symbolic> {
+    Arc::new(Symbolic::new(a.pattern()).unwrap())
 }
 
 fn dense_solve(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
@@ -38,11 +37,14 @@ fn part(a: &Mat<f64>, rows: &[u32], cols: &[u32]) -> Mat<f64> {
 }
 
 /// Everything a factorisation offers, against dense blocks.
-fn check(sparse: &SparseSymmetric, dense: &Mat<f64>, trailing: &[u32], method: Method, par: Par) {
+fn check(system: &System, trailing: &[u32], method: Method, par: Par) {
+    let sparse = &system.sparse(method, trailing);
+    let dense = &system.dense;
+    let trailing: &[u32] =
+        &trailing.iter().flat_map(|&b| system.graph.unknowns(b as usize)).map(|u| u as u32).collect::<Vec<_>>();
     let n = sparse.len();
     let mut random = Random(7);
-    let symbolic = symbolic(sparse.pattern(), method, trailing);
-    let cholesky = Cholesky::new(&symbolic, sparse, par).unwrap();
+    let cholesky = Cholesky::new(&symbolic(sparse), sparse, par).unwrap();
     let mut scratch = Scratch::default();
 
     let b = random.vector(n);
@@ -101,13 +103,13 @@ fn check(sparse: &SparseSymmetric, dense: &Mat<f64>, trailing: &[u32], method: M
 
 fn check_all(sizes: &[usize], cells: &[Vec<u32>], seed: u64) {
     let mut random = Random(seed);
-    let (sparse, dense) = assemble(sizes, cells, &mut random);
-    let n = sparse.len();
+    let system = System::new(sizes, cells, &mut random);
+    let n = sizes.len();
     for m in [0, 1, n / 5, n / 2, n] {
         let trailing = random.choose(n, m);
         for method in METHODS {
-            check(&sparse, &dense, &trailing, method, Par::Seq);
-            check(&sparse, &dense, &trailing, method, Par::rayon(2));
+            check(&system, &trailing, method, Par::Seq);
+            check(&system, &trailing, method, Par::rayon(2));
         }
     }
 }
@@ -149,27 +151,26 @@ fn agrees_with_dense_on_random_graphs() {
 fn agrees_with_dense_across_many_supernodes() {
     // Large enough for subtrees of the elimination tree to be swept apart.
     let mut random = Random(30);
-    let (sparse, dense) = assemble(&[2; 400], &grid(20, 20, 1), &mut random);
-    let trailing = random.choose(800, 60);
+    let system = System::new(&[2; 400], &grid(20, 20, 1), &mut random);
+    let trailing = random.choose(400, 30);
     for method in METHODS {
-        check(&sparse, &dense, &trailing, method, Par::Seq);
-        check(&sparse, &dense, &trailing, method, Par::rayon(2));
+        check(&system, &trailing, method, Par::Seq);
+        check(&system, &trailing, method, Par::rayon(2));
     }
 }
 
 #[test]
 fn agrees_with_dense_where_threads_pay() {
     let mut random = Random(31);
-    let (sparse, dense) = assemble(&[75; 8], &grid(2, 2, 2), &mut random);
-    let trailing = random.choose(600, 100);
-    check(&sparse, &dense, &trailing, Method::Metis, Par::rayon(2));
+    let system = System::new(&[75; 8], &grid(2, 2, 2), &mut random);
+    check(&system, &[6, 1], Method::Metis, Par::rayon(2));
 }
 
 #[test]
 fn empty_system() {
-    let pattern = Arc::new(Pattern::uniform(0, 3, [[0u32; 0]]).unwrap());
-    let a = SparseSymmetric::zeros(Arc::clone(&pattern));
-    let cholesky = Cholesky::new(&symbolic(&pattern, Method::Metis, &[]), &a, Par::Seq).unwrap();
+    let graph = BlockGraph::uniform(0, 3, [[0u32; 0]]).unwrap();
+    let a = SparseSymmetric::zeros(pattern(&graph, Method::Metis, &[]));
+    let cholesky = Cholesky::new(&symbolic(&a), &a, Par::Seq).unwrap();
     cholesky.solve(&mut [], &mut Scratch::default()).unwrap();
     assert_eq!(cholesky.schur().unwrap().0.len(), 0);
 }
@@ -181,19 +182,21 @@ fn bits(v: &[f64]) -> Vec<u64> {
 #[test]
 fn refactorising_repeats_the_bits_of_a_fresh_factor() {
     // Small supernodes; and one large enough to be factorised in parallel.
-    for (sizes, cells) in [([3; 125].to_vec(), grid(5, 5, 5)), ([75; 8].to_vec(), grid(2, 2, 2))] {
+    for (sizes, cells, trailing) in [([3; 125].to_vec(), grid(5, 5, 5), 14), ([75; 8].to_vec(), grid(2, 2, 2), 1)] {
         let mut random = Random(40);
-        let (first, _) = assemble(&sizes, &cells, &mut random);
-        let (second, _) = assemble(&sizes, &cells, &mut random);
-        let trailing = random.choose(first.len(), 40);
-        let symbolic = symbolic(first.pattern(), Method::Metis, &trailing);
+        let [first, second] = [(); 2].map(|()| System::new(&sizes, &cells, &mut random));
+        let trailing = random.choose(sizes.len(), trailing);
+        let first = first.sparse(Method::Metis, &trailing);
+        let second = second.on(first.pattern());
+        let symbolic = symbolic(&first);
         let b = random.vector(first.len());
         for par in [Par::Seq, Par::rayon(2)] {
             let solve = |cholesky: &Cholesky| {
                 let mut x = b.clone();
                 cholesky.solve(&mut x, &mut Scratch::default()).unwrap();
                 let (schur, _) = cholesky.schur().unwrap();
-                let schur = (0..40 * 40).map(|k| f64::from(schur.get(k / 40, k % 40)));
+                let m = schur.len();
+                let schur = (0..m * m).map(|k| f64::from(schur.get(k / m, k % m)));
                 bits(&x.into_iter().chain(schur).collect::<Vec<_>>())
             };
             let fresh = solve(&Cholesky::new(&symbolic, &second, par).unwrap());
@@ -212,24 +215,29 @@ fn refactorising_repeats_the_bits_of_a_fresh_factor() {
 }
 
 #[test]
-fn orders_repeat_and_keep_trailing_unknowns_last() {
-    let pattern = Arc::new(Pattern::uniform(1000, 3, grid(10, 10, 10)).unwrap());
+fn orders_repeat_and_keep_trailing_blocks_last() {
+    let mut sizes = vec![3; 1000];
+    sizes[4] = 0;
+    let graph = BlockGraph::with_sizes(&sizes, grid(10, 10, 10)).unwrap();
     for method in METHODS {
-        let once = Ordering::new(&pattern, method, &[5, 2]).unwrap();
-        assert_eq!(once, Ordering::new(&pattern, method, &[5, 2]).unwrap());
+        let once = Ordering::new(&graph, method, &[5, 2]).unwrap();
+        assert_eq!(once, Ordering::new(&graph, method, &[5, 2]).unwrap());
         assert_eq!(once.trailing(), 2);
-        assert_eq!(once.unknowns()[2998..], [5, 2]);
-        let mut sorted = once.unknowns().to_vec();
+        assert_eq!(once.blocks()[998..], [5, 2]);
+        let mut sorted = once.blocks().to_vec();
         sorted.sort_unstable();
-        assert!(sorted.into_iter().eq(0..3000));
+        assert!(sorted.into_iter().eq(0..1000));
+        let pattern = pattern(&graph, method, &[5, 2]);
+        assert_eq!(pattern.trailing(), 6);
+        assert_eq!(pattern.unknowns()[2991..], [12, 13, 14, 6, 7, 8]);
     }
 }
 
 #[test]
 fn dissection_beats_minimum_degree_in_space() {
     let entries = |cells: Vec<Vec<u32>>, blocks: usize, method| {
-        let pattern = Arc::new(Pattern::uniform(blocks, 3, cells).unwrap());
-        symbolic(&pattern, method, &[]).factor_entries()
+        let graph = BlockGraph::uniform(blocks, 3, cells).unwrap();
+        Symbolic::new(&pattern(&graph, method, &[])).unwrap().factor_entries()
     };
     let space = METHODS.map(|method| entries(grid(20, 20, 20), 8000, method));
     assert!(space[0] * 10 < space[1] * 8, "{space:?}");
@@ -242,8 +250,8 @@ fn dissection_beats_minimum_degree_in_space() {
 #[test]
 fn accounts_for_memory() {
     let mut random = Random(50);
-    let (a, _) = assemble(&[1; 4], &[vec![0, 1, 2, 3]], &mut random);
-    let cholesky = Cholesky::new(&symbolic(a.pattern(), Method::Amd, &[]), &a, Par::Seq).unwrap();
+    let a = System::new(&[1; 4], &[vec![0, 1, 2, 3]], &mut random).sparse(Method::Amd, &[]);
+    let cholesky = Cholesky::new(&symbolic(&a), &a, Par::Seq).unwrap();
     let memory = cholesky.memory();
     assert_eq!((memory.factor_entries, memory.factor_bytes), (16, 128));
     assert!(memory.total_bytes > 128 + 80);
@@ -252,24 +260,20 @@ fn accounts_for_memory() {
 #[test]
 fn wrong_input_is_reported() {
     let mut random = Random(60);
-    let (a, _) = assemble(&[2; 36], &grid(6, 6, 1), &mut random);
+    let system = System::new(&[2; 36], &grid(6, 6, 1), &mut random);
+    assert_eq!(
+        Ordering::new(&system.graph, Method::Amd, &[3, 36]).unwrap_err(),
+        Error::OutOfRange { what: "trailing block", index: 36, bound: 36 }
+    );
+    assert_eq!(
+        Ordering::new(&system.graph, Method::Amd, &[3, 4, 3]).unwrap_err(),
+        Error::Repeated { what: "trailing block", index: 3 }
+    );
+    let a = system.sparse(Method::Metis, &[7]);
     let pattern = a.pattern();
-    assert_eq!(
-        Ordering::new(pattern, Method::Amd, &[3, 72]).unwrap_err(),
-        Error::OutOfRange { what: "trailing unknown", index: 72, bound: 72 }
-    );
-    assert_eq!(
-        Ordering::new(pattern, Method::Amd, &[3, 4, 3]).unwrap_err(),
-        Error::Repeated { what: "trailing unknown", index: 3 }
-    );
-    let other = Arc::new(Pattern::uniform(72, 1, [[0u32, 71]]).unwrap());
-    let one = Arc::new(Pattern::uniform(1, 1, [[0u32]]).unwrap());
-    assert!(matches!(
-        Symbolic::new(&one, Ordering::new(pattern, Method::Amd, &[]).unwrap()),
-        Err(Error::Dimension { what: "ordering", expected: 1, found: 72 })
-    ));
-    let symbolic = symbolic(pattern, Method::Metis, &[7, 3]);
-    assert_eq!(Cholesky::new(&symbolic, &SparseSymmetric::zeros(other), Par::Seq).unwrap_err(), Error::PatternMismatch);
+    let symbolic = symbolic(&a);
+    let other = system.sparse(Method::Metis, &[3]);
+    assert_eq!(Cholesky::new(&symbolic, &other, Par::Seq).unwrap_err(), Error::PatternMismatch);
 
     // An equal pattern built elsewhere is accepted.
     let mut same = SparseSymmetric::zeros(Arc::new((**pattern).clone()));
@@ -302,13 +306,15 @@ fn wrong_input_is_reported() {
     let (ptr, row) = pattern.lower();
     let k = ptr[20] as usize + 1;
     same.values_mut()[k] = f64::INFINITY;
-    assert_eq!(cholesky.refactorise(&same).unwrap_err(), Error::NonFinite { row: row[k] as usize, column: 20 });
+    let (i, j) = (pattern.unknowns()[row[k] as usize] as usize, pattern.unknowns()[20] as usize);
+    assert_eq!(cholesky.refactorise(&same).unwrap_err(), Error::NonFinite { row: i.max(j), column: i.min(j) });
     assert_eq!(cholesky.solve(x, &mut scratch).unwrap_err(), Error::NotFactorised);
     assert_eq!(cholesky.schur().unwrap_err(), Error::NotFactorised);
 
-    for unknown in 0..72 {
+    for (&start, &unknown) in ptr.iter().zip(pattern.unknowns()) {
         same.values_mut().copy_from_slice(a.values());
-        same.values_mut()[ptr[unknown] as usize] = -1.0;
+        same.values_mut()[start as usize] = -1.0;
+        let unknown = unknown as usize;
         let error = cholesky.refactorise(&same).unwrap_err();
         // Without this unknown the matrix is positive definite, so it is the one to break down.
         assert_eq!(error, Error::NotPositiveDefinite { unknown });
@@ -318,9 +324,9 @@ fn wrong_input_is_reported() {
 #[test]
 fn inaccuracy_is_reported() {
     // Subnormal pivots are positive, but the solution overflows.
-    let pattern = Arc::new(Pattern::uniform(1, 2, [[0u32]]).unwrap());
-    let mut a = SparseSymmetric::zeros(Arc::clone(&pattern));
+    let graph = BlockGraph::uniform(1, 2, [[0u32]]).unwrap();
+    let mut a = SparseSymmetric::zeros(pattern(&graph, Method::Amd, &[]));
     a.add(&[0], &[1e-320, 0.0, 0.0, 1e-320]).unwrap();
-    let error = Cholesky::new(&symbolic(&pattern, Method::Amd, &[]), &a, Par::Seq).unwrap_err();
+    let error = Cholesky::new(&symbolic(&a), &a, Par::Seq).unwrap_err();
     assert!(matches!(error, Error::Inaccurate { tolerance: linear::MAX_RESIDUAL, .. }));
 }

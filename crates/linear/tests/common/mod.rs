@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use faer::Mat;
-use linear::{Pattern, SparseSymmetric};
+use linear::{BlockGraph, Method, Ordering, Pattern, SparseSymmetric};
 
 /// A small generator of numbers in [-1, 1), the same on every run.
 pub(crate) struct Random(pub(crate) u64);
@@ -50,25 +50,48 @@ pub(crate) fn local(random: &mut Random, n: usize) -> Vec<f64> {
     k
 }
 
-/// A matrix whose cells are given, every block with its own diagonal too, so that it is positive
-/// definite; sparse and dense.
-pub(crate) fn assemble(sizes: &[usize], cells: &[Vec<u32>], random: &mut Random) -> (SparseSymmetric, Mat<f64>) {
-    let single = (0..sizes.len() as u32).map(|b| vec![b]);
-    let cells: Vec<Vec<u32>> = cells.iter().cloned().chain(single).collect();
-    let pattern = Arc::new(Pattern::with_sizes(sizes, &cells).unwrap());
-    let mut sparse = SparseSymmetric::zeros(Arc::clone(&pattern));
-    let mut dense = Mat::zeros(pattern.len(), pattern.len());
-    for cell in &cells {
-        let unknowns: Vec<usize> = (cell.iter()).flat_map(|&b| pattern.unknowns(b as usize)).collect();
-        let k = local(random, unknowns.len());
-        sparse.add(cell, &k).unwrap();
-        for (r, &i) in unknowns.iter().enumerate() {
-            for (c, &j) in unknowns.iter().enumerate() {
-                dense[(i, j)] += k[r * unknowns.len() + c];
+/// The pattern of a graph, in an order that keeps some blocks to the end.
+pub(crate) fn pattern(graph: &BlockGraph, method: Method, trailing: &[u32]) -> Arc<Pattern> {
+    let ordering = Ordering::new(graph, method, trailing).unwrap();
+    Arc::new(Pattern::new(graph, &ordering).unwrap())
+}
+
+/// Cells with their matrices, every block with its own diagonal too, so that the sum is positive definite; and the sum.
+pub(crate) struct System {
+    pub(crate) graph: BlockGraph,
+    cells: Vec<(Vec<u32>, Vec<f64>)>,
+    pub(crate) dense: Mat<f64>,
+}
+
+impl System {
+    pub(crate) fn new(sizes: &[usize], cells: &[Vec<u32>], random: &mut Random) -> Self {
+        let single = (0..sizes.len() as u32).map(|b| vec![b]);
+        let cells: Vec<Vec<u32>> = cells.iter().cloned().chain(single).collect();
+        let graph = BlockGraph::with_sizes(sizes, &cells).unwrap();
+        let mut dense = Mat::zeros(graph.len(), graph.len());
+        let mut with_matrices = Vec::new();
+        for cell in cells {
+            let unknowns: Vec<usize> = (cell.iter()).flat_map(|&b| graph.unknowns(b as usize)).collect();
+            let k = local(random, unknowns.len());
+            for (r, &i) in unknowns.iter().enumerate() {
+                for (c, &j) in unknowns.iter().enumerate() {
+                    dense[(i, j)] += k[r * unknowns.len() + c];
+                }
             }
+            with_matrices.push((cell, k));
         }
+        Self { graph, cells: with_matrices, dense }
     }
-    (sparse, dense)
+
+    pub(crate) fn on(&self, pattern: &Arc<Pattern>) -> SparseSymmetric {
+        let mut sparse = SparseSymmetric::zeros(Arc::clone(pattern));
+        self.cells.iter().for_each(|(cell, k)| sparse.add(cell, k).unwrap());
+        sparse
+    }
+
+    pub(crate) fn sparse(&self, method: Method, trailing: &[u32]) -> SparseSymmetric {
+        self.on(&pattern(&self.graph, method, trailing))
+    }
 }
 
 /// The cells of an nx × ny × nz grid of vertices (nz = 1: quadrilaterals).
