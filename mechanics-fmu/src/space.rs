@@ -177,11 +177,31 @@ impl Space {
         let geometry = mesh.geometry();
         let vertices = mesh.cell_vertices(cell);
         let n = vertices.len();
-        let measure = geometry.cell_measure[cell];
         let center = geometry.cell_center[cell];
         let CellOperators { gradient, weight, residual, .. } = out;
+        self.fill_gradients(mesh, cell, gradient);
+        let m = gradient.len();
+        weight.clear();
+        weight.extend_from_slice(&geometry.cell_weight[mesh.cell_vertex_lists().range(cell)]);
+        weight.resize(m, 0.0);
+        residual.clear();
+        // Π^K reproduces all functions of the vertices of a simplex.
+        let first = if n == self.dim + 1 { n } else { 0 };
+        for (s, &v) in vertices.iter().enumerate() {
+            let arm = mesh.vertices()[v] - center;
+            residual.resize(s * m + first, 0.0);
+            residual.extend((first..m).map(|i| f64::from(i == s) - gradient[i].dot(arm) - weight[i]));
+        }
+        (out.vertex_count, out.measure, out.diameter) = (n, geometry.cell_measure[cell], geometry.cell_diameter[cell]);
+    }
+
+    /// G_i of each function of a cell.
+    pub(crate) fn fill_gradients(&self, mesh: &Mesh, cell: usize, gradient: &mut Vec<Vec3>) {
+        let geometry = mesh.geometry();
+        let vertices = mesh.cell_vertices(cell);
+        let measure = geometry.cell_measure[cell];
         gradient.clear();
-        gradient.resize(n, Vec3::ZERO);
+        gradient.resize(vertices.len(), Vec3::ZERO);
         for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
             let vectors = &geometry.face_vertex_vector[mesh.data().faces.range(face)];
             for (v, &vector) in mesh.face_vertices(face).iter().zip(vectors) {
@@ -194,16 +214,6 @@ impl Space {
         for (list, sign) in [(self.plus.get(cell), 1.0), (self.minus.get(cell), -1.0)] {
             gradient.extend(list.iter().map(|&i| sign / measure * geometry.face_vector[faces[i]]));
         }
-        let m = gradient.len();
-        weight.clear();
-        weight.extend_from_slice(&geometry.cell_weight[mesh.cell_vertex_lists().range(cell)]);
-        weight.resize(m, 0.0);
-        residual.clear();
-        for (s, &v) in vertices.iter().enumerate() {
-            let arm = mesh.vertices()[v] - center;
-            residual.extend((0..m).map(|i| f64::from(i == s) - gradient[i].dot(arm) - weight[i]));
-        }
-        (out.vertex_count, out.measure, out.diameter) = (n, measure, geometry.cell_diameter[cell]);
     }
 
     /// The unknowns that a cell's functions depend on.
@@ -269,6 +279,15 @@ impl Space {
         out.bubbles = Some(p);
     }
 
+    /// Number of entities that a cell's functions depend on.
+    pub(crate) fn cell_entity_count(&self, mesh: &Mesh, cell: usize) -> usize {
+        if self.plus.get(cell).is_empty() && self.minus.get(cell).is_empty() {
+            mesh.nodes().of_cell(cell).len()
+        } else {
+            self.unknowns(mesh, cell).entities.len()
+        }
+    }
+
     /// The side of a fracture face on which a cell has a bubble of its own.
     pub fn bubble_sides(&self, cell: usize) -> impl Iterator<Item = (usize, Side)> + '_ {
         let plus = self.plus.get(cell).iter().map(|&i| (i, Side::Plus));
@@ -294,32 +313,44 @@ impl CellOperators {
     }
 
     pub(crate) fn fill_stiffness(&self, dim: usize, lambda: f64, mu: f64, extra: f64, a: &mut Vec<f64>) {
+        match dim {
+            2 => self.fill::<2>(lambda, mu, extra, a),
+            _ => self.fill::<3>(lambda, mu, extra, a),
+        }
+    }
+
+    fn fill<const D: usize>(&self, lambda: f64, mu: f64, extra: f64, a: &mut Vec<f64>) {
         let m = self.gradient.len();
-        let width = m * dim;
+        let width = m * D;
         a.clear();
         a.resize(width * width, 0.0);
         let volume = self.measure;
-        let d = dim as f64;
+        let d = D as f64;
         let half_edge = self.diameter / (2.0 * d.sqrt());
-        let penalty = 2.0 / 3.0 * (1.0 + 1.0 / d) * mu * half_edge.powi(dim as i32 - 2);
-        let consistent = lambda + extra;
+        let penalty = 2.0 / 3.0 * (1.0 + 1.0 / d) * mu * half_edge.powi(D as i32 - 2);
+        let [shear, consistent] = [volume * mu, volume * (lambda + extra)];
+        // The residuals of a simplex vanish but for its bubbles.
+        let rough = if self.vertex_count == D + 1 { self.vertex_count } else { 0 };
         for i in 0..m {
             let gi = self.gradient[i].to_array();
             for j in 0..=i {
                 let gj = self.gradient[j].to_array();
-                let mut s = f64::from(i == j && i >= self.vertex_count);
-                for row in self.residual.chunks_exact(m) {
-                    s += row[i] * row[j];
+                let mut diagonal = shear * self.gradient[i].dot(self.gradient[j]);
+                if j >= rough {
+                    let mut s = f64::from(i == j && i >= self.vertex_count);
+                    for row in self.residual.chunks_exact(m) {
+                        s += row[i] * row[j];
+                    }
+                    diagonal += penalty * s;
                 }
-                let diagonal = volume * mu * self.gradient[i].dot(self.gradient[j]) + penalty * s;
-                for b in 0..dim {
-                    for c in 0..dim {
-                        let mut v = volume * (mu * gi[c] * gj[b] + consistent * gi[b] * gj[c]);
+                for b in 0..D {
+                    for c in 0..D {
+                        let mut v = shear * gi[c] * gj[b] + consistent * gi[b] * gj[c];
                         if b == c {
                             v += diagonal;
                         }
-                        a[(i * dim + b) * width + j * dim + c] = v;
-                        a[(j * dim + c) * width + i * dim + b] = v;
+                        a[(i * D + b) * width + j * D + c] = v;
+                        a[(j * D + c) * width + i * D + b] = v;
                     }
                 }
             }

@@ -9,22 +9,17 @@
 //!
 //! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
 
-use std::ops::Range;
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use linear::{
-    BlockGraph, CellMatrices, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic,
-};
+use linear::{BlockGraph, Cholesky, Csr, DenseSymmetric, Method, Ordering, Pattern, SparseSymmetric, Symbolic};
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{MechanicsError, ModelProblem};
 use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
 use crate::space::{CellOperators, CellUnknowns, Space};
-
-/// Cells that a thread works on before their matrices are added up, in 2D and 3D: about as much memory in both.
-const BATCH: [usize; 2] = [2048, 512];
 
 /// A prescribed unknown.
 pub(crate) struct Fixed {
@@ -167,7 +162,10 @@ impl System {
 
         let analysis = lap(Stage::Analysis);
         let mut stiffness = SparseSymmetric::zeros(pattern);
-        let (fixed_rows, divergence) = assemble(mesh, &space, &materials, &fixed, None, &mut stiffness)?;
+        let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
+        cells.add_stiffness(&mut stiffness)?;
+        let fixed_rows = cells.fixed_rows(&fixed)?;
+        let divergence = cells.divergence()?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap(Stage::Assembly);
@@ -222,8 +220,11 @@ impl System {
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
         let clock = Instant::now();
         let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
-        let (fixed_rows, _) = assemble(mesh, &self.space, &self.materials, &self.fixed, Some(extra), &mut stiffness)?;
-        self.fixed_rows = fixed_rows;
+        let mut is_fixed = vec![false; self.space.dim() * self.space.entity_count()];
+        self.fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
+        let cells = Cells { mesh, space: &self.space, materials: &self.materials, fixed: &is_fixed, extra };
+        cells.add_stiffness(&mut stiffness)?;
+        self.fixed_rows = cells.fixed_rows(&self.fixed)?;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
         self.work.assembly += clock.elapsed();
         let clock = Instant::now();
@@ -270,94 +271,119 @@ fn schur_without_springs(
     Ok((schur, springs.is_empty().then_some(inverse)))
 }
 
-/// What a run of cells adds to the system, one behind the other.
-struct CellParts {
-    stiffness: CellMatrices,
-    /// div_K: cells × unknowns.
-    divergence: Csr,
-    /// Entries in rows of fixed unknowns.
-    fixed: Vec<(u32, u32, f64)>,
+/// What the operators are summed from.
+struct Cells<'a> {
+    mesh: &'a Mesh,
+    space: &'a Space,
+    materials: &'a [CellMaterial],
+    /// Whether each unknown is.
+    fixed: &'a [bool],
+    /// Added to λ of each cell in the consistent part (Pa); empty for none.
+    extra: &'a [f64],
 }
 
-fn assemble(
-    mesh: &Mesh,
-    space: &Space,
-    materials: &[CellMaterial],
-    fixed: &[Fixed],
-    extra: Option<&[f64]>,
-    stiffness: &mut SparseSymmetric,
-) -> Result<(Csr, Csr), MechanicsError> {
-    let dim = space.dim();
-    let unknown_count = dim * space.entity_count();
-    let mut row_of_fixed = vec![None; unknown_count];
-    fixed.iter().enumerate().for_each(|(row, f)| row_of_fixed[f.unknown] = Some(row as u32));
-    // By value: neighbours in a list would share a cache line between threads.
-    let compute = |run: &Range<usize>, mut parts: CellParts| -> Result<CellParts, linear::Error> {
-        parts.stiffness.clear();
-        parts.divergence.clear();
-        let mut row: Vec<(u32, f64)> = Vec::new();
-        let (mut operators, mut unknowns) = (CellOperators::default(), CellUnknowns::default());
-        let (mut full, mut numbers) = (Vec::new(), Vec::new());
-        for cell in run.clone() {
-            space.fill_operators(mesh, cell, &mut operators);
-            space.fill_unknowns(mesh, cell, &mut unknowns);
-            let m = materials[mesh.data().cell_region[cell]];
-            operators.fill_stiffness(dim, m.lambda, m.mu, extra.map_or(0.0, |e| e[cell]), &mut full);
-            let full = unknowns.reduce_matrix(&full);
-            numbers.clear();
-            numbers.extend(unknowns.entities.iter().flat_map(|&e| (0..dim as u32).map(move |c| e * dim as u32 + c)));
-            let blocks = unknowns.entities.iter().copied();
-            let is_fixed = |u: &u32| row_of_fixed[*u as usize].is_some();
-            if !numbers.iter().any(is_fixed) {
-                parts.stiffness.push(blocks, full.iter().copied());
-            } else {
-                for (&u, values) in numbers.iter().zip(full.chunks_exact(numbers.len())) {
-                    if let Some(row) = row_of_fixed[u as usize] {
-                        parts.fixed.extend(numbers.iter().zip(values).map(|(&column, &v)| (row, column, v)));
-                    }
-                }
-                let free: Vec<usize> = (0..numbers.len()).filter(|&k| !is_fixed(&numbers[k])).collect();
-                let entry = |(i, j): (usize, usize)| full[i * numbers.len() + j];
-                parts.stiffness.push(blocks, free.iter().flat_map(|&i| free.iter().map(move |&j| entry((i, j)))));
-            }
-            let components = operators.gradient.iter().flat_map(|g| g.to_array().into_iter().take(dim));
-            row.clear();
-            if unknowns.bubbles.is_none() {
-                row.extend(numbers.iter().copied().zip(components));
-            } else {
-                let reduced = unknowns.reduce_vector(components.collect());
-                row.extend(numbers.iter().copied().zip(reduced));
-            }
-            row.sort_unstable_by_key(|&(column, _)| column);
-            parts.divergence.push_row(row.iter().copied())?;
-        }
-        Ok(parts)
-    };
-    let mut fixed_triplets = Vec::new();
-    let mut divergence = Csr::empty(unknown_count)?;
-    let without_bubbles = (0..mesh.cell_count()).map(|cell| dim * mesh.nodes().of_cell(cell).len()).sum();
-    divergence.reserve(mesh.cell_count(), without_bubbles);
-    let mut parts = (0..rayon::current_num_threads())
-        .map(|_| {
-            let divergence = Csr::empty(unknown_count)?;
-            Ok(CellParts { stiffness: CellMatrices::default(), divergence, fixed: Vec::new() })
-        })
-        .collect::<Result<Vec<CellParts>, linear::Error>>()?;
-    let (cells, batch) = (mesh.cell_count(), BATCH[dim - 2]);
-    let runs: Vec<Range<usize>> = (0..cells).step_by(batch).map(|k| k..cells.min(k + batch)).collect();
-    for runs in runs.chunks(parts.len()) {
-        parts = parts.into_par_iter().zip(runs).map(|(parts, run)| compute(run, parts)).collect::<Result<_, _>>()?;
-        parts.iter_mut().for_each(|parts| fixed_triplets.append(&mut parts.fixed));
-        let matrices: Vec<&CellMatrices> = parts.iter().map(|parts| &parts.stiffness).collect();
-        let (appended, added) = rayon::join(
-            || parts.iter().try_for_each(|parts| divergence.append(&parts.divergence)),
-            || stiffness.add_cells(&matrices),
-        );
-        appended?;
-        added?;
+/// What belongs to one cell, in storage for the next.
+#[derive(Default)]
+struct Local {
+    unknowns: CellUnknowns,
+    /// Their numbers.
+    numbers: Vec<u32>,
+    operators: CellOperators,
+    /// a_K over its functions.
+    functions: Vec<f64>,
+}
+
+impl Cells<'_> {
+    fn fill_numbers(&self, cell: usize, local: &mut Local) {
+        self.space.fill_unknowns(self.mesh, cell, &mut local.unknowns);
+        let dim = self.space.dim() as u32;
+        local.numbers.clear();
+        local.unknowns.entities.iter().for_each(|e| local.numbers.extend(e * dim..(e + 1) * dim));
     }
-    divergence.shrink();
-    Ok((Csr::from_triplets(fixed.len(), unknown_count, &fixed_triplets)?, divergence))
+
+    fn fill_stiffness(&self, cell: usize, local: &mut Local) {
+        self.space.fill_operators(self.mesh, cell, &mut local.operators);
+        let m = self.materials[self.mesh.data().cell_region[cell]];
+        let extra = self.extra.get(cell).copied().unwrap_or(0.0);
+        local.operators.fill_stiffness(self.space.dim(), m.lambda, m.mu, extra, &mut local.functions);
+    }
+
+    fn is_fixed(&self, unknown: &u32) -> bool {
+        self.fixed[*unknown as usize]
+    }
+
+    /// Adds the rows and columns of A of free unknowns. Each thread computes the cells that its columns need: those between
+    /// two parts twice, but nothing has to be kept or copied.
+    fn add_stiffness(&self, stiffness: &mut SparseSymmetric) -> Result<(), linear::Error> {
+        let parts = stiffness.columns(rayon::current_num_threads());
+        parts.into_par_iter().try_for_each(|mut columns| {
+            let (mut local, mut free) = (Local::default(), Vec::new());
+            for cell in 0..self.mesh.cell_count() {
+                self.fill_numbers(cell, &mut local);
+                if !columns.concern(&local.unknowns.entities) {
+                    continue;
+                }
+                self.fill_stiffness(cell, &mut local);
+                let Local { unknowns, numbers, functions, .. } = &local;
+                let mut matrix = unknowns.reduce_matrix(functions);
+                if numbers.iter().any(|u| self.is_fixed(u)) {
+                    let kept: Vec<usize> = (0..numbers.len()).filter(|&k| !self.is_fixed(&numbers[k])).collect();
+                    free.clear();
+                    for row in kept.iter().map(|i| &matrix[i * numbers.len()..]) {
+                        free.extend(kept.iter().map(|&j| row[j]));
+                    }
+                    matrix = Cow::Borrowed(&free);
+                }
+                columns.add(&unknowns.entities, &matrix)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The rows of A of fixed unknowns: fixed × unknowns.
+    fn fixed_rows(&self, fixed: &[Fixed]) -> Result<Csr, linear::Error> {
+        let mut row_of = vec![u32::MAX; self.fixed.len()];
+        fixed.iter().zip(0..).for_each(|(f, row)| row_of[f.unknown] = row);
+        let mut triplets = Vec::new();
+        let mut local = Local::default();
+        for cell in 0..self.mesh.cell_count() {
+            self.fill_numbers(cell, &mut local);
+            if !local.numbers.iter().any(|u| self.is_fixed(u)) {
+                continue;
+            }
+            self.fill_stiffness(cell, &mut local);
+            let Local { unknowns, numbers, functions, .. } = &local;
+            let matrix = unknowns.reduce_matrix(functions);
+            for (u, values) in numbers.iter().zip(matrix.chunks_exact(numbers.len())).filter(|(u, _)| self.is_fixed(u))
+            {
+                triplets.extend(numbers.iter().zip(values).map(|(&column, &v)| (row_of[*u as usize], column, v)));
+            }
+        }
+        Csr::from_triplets(fixed.len(), self.fixed.len(), &triplets)
+    }
+
+    /// div_K: cells × unknowns (1/m).
+    fn divergence(&self) -> Result<Csr, linear::Error> {
+        let dim = self.space.dim();
+        let lengths = (0..self.mesh.cell_count()).map(|cell| dim * self.space.cell_entity_count(self.mesh, cell));
+        Csr::by_rows(
+            self.fixed.len(),
+            lengths,
+            Default::default,
+            |scratch: &mut (Local, Vec<Vec3>), cell, columns, values| {
+                let (local, gradients) = scratch;
+                self.fill_numbers(cell, local);
+                columns.copy_from_slice(&local.numbers);
+                self.space.fill_gradients(self.mesh, cell, gradients);
+                let components = gradients.iter().flat_map(|g| g.to_array().into_iter().take(dim));
+                if local.unknowns.bubbles.is_none() {
+                    values.iter_mut().zip(components).for_each(|(value, g)| *value = g);
+                } else {
+                    values.copy_from_slice(&local.unknowns.reduce_vector(components.collect()));
+                }
+            },
+        )
+    }
 }
 
 /// The prescribed unknowns, ascending.

@@ -40,7 +40,9 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
     let partner = Partner::uniform(&mesh, 1e5);
     let before = resident();
     let start = Instant::now();
-    let mut mechanics = Mechanics::new(Arc::new(mesh), model).unwrap_or_else(|e| panic!("{e}"));
+    let mut after = Vec::new();
+    let mut ended = |_| after.push([resident(), peak()].map(|bytes| mb(bytes - before)));
+    let mut mechanics = Mechanics::watched(Arc::new(mesh), model, &mut ended).unwrap_or_else(|e| panic!("{e}"));
     let total = start.elapsed();
     let s = *mechanics.setup();
     println!(
@@ -49,11 +51,16 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
         s.unknowns,
         s.factor_entries as f64 / 1e6
     );
-    println!("    analysis      {:9.1} ms", ms(s.analysis));
     let ratio = s.assembly.as_secs_f64() / s.factorisation.as_secs_f64();
-    println!("    assembly      {:9.1} ms, {ratio:.2} factorisations", ms(s.assembly));
-    println!("    factorisation {:9.1} ms", ms(s.factorisation));
-    println!("    condensation  {:9.1} ms", ms(s.condensation));
+    let stages = [
+        ("analysis", s.analysis, String::new()),
+        ("assembly", s.assembly, format!(", {ratio:.2} factorisations")),
+        ("factorisation", s.factorisation, String::new()),
+        ("condensation", s.condensation, String::new()),
+    ];
+    for ((name, time, more), [now, most]) in stages.into_iter().zip(after) {
+        println!("    {name:13} {:9.1} ms{more}; {now:.1} MB above the mesh, at most {most:.1} so far", ms(time));
+    }
 
     let mut state = mechanics.rest(0.0);
     let mut step = |label: &str, time: f64, state: &State, partner: &Partner| -> State {
@@ -75,7 +82,7 @@ fn run(name: &str, make: fn() -> (Mesh, Model)) {
     }
     let peak = peak();
     println!(
-        "  memory: factor {:.0} MB, with all that goes with it {:.0} MB, peak above the mesh {:.0} MB = {:.2} factors",
+        "  memory: factor {:.0} MB, with all that goes with it {:.0} MB, peak above the mesh {:.1} MB = {:.3} factors",
         mb(s.factor_bytes[0]),
         mb(s.factor_bytes[1]),
         mb(peak - before),

@@ -353,15 +353,19 @@ impl Cholesky {
     }
 
     /// The Schur complement S = A_gg − A_gu A_uu⁻¹ A_ug, m × m, in the order of the trailing list, and S⁻¹. Costs about m³
-    /// multiplications; while they are made, m²/2 more numbers of single precision are in memory.
+    /// multiplications; while S⁻¹ and then S are made, L22 gives way to them, m²/2 numbers of single precision.
     ///
     /// # Errors
     /// [`Error::NotFactorised`].
     pub fn schur(&self) -> Result<(DenseSymmetric, DenseSymmetric), Error> {
         self.check(self.len())?;
-        let mut lower = Triangle::identity_border(self.symbolic.pattern.trailing());
-        self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
-        Ok((lower.square(), lower.inverse()))
+        let lower = || {
+            let mut lower = Triangle::identity_border(self.symbolic.pattern.trailing());
+            self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
+            lower
+        };
+        let inverse = lower().inverse();
+        Ok((lower().square(), inverse))
     }
 
     /// y += S x in double precision, with the Schur complement S as the factor holds it: reads m²/2 numbers.

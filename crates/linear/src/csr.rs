@@ -1,5 +1,7 @@
 //! Rectangular sparse operators.
 
+use rayon::prelude::*;
+
 use crate::error::{Error, check_index, check_len, index};
 
 /// A rectangular sparse matrix by rows, column indices ascending in each row.
@@ -19,93 +21,85 @@ impl Csr {
     /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`].
     pub fn from_triplets(rows: usize, cols: usize, triplets: &[(u32, u32, f64)]) -> Result<Self, Error> {
         index(rows)?;
+        index(cols)?;
         let mut by_row = vec![Vec::new(); rows];
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
+            check_index("column", j as usize, cols)?;
+            if !v.is_finite() {
+                return Err(Error::NonFinite { row: i as usize, column: j as usize });
+            }
             by_row[i as usize].push((j, v));
         }
-        let mut csr = Self::empty(cols)?;
-        by_row.into_iter().try_for_each(|row| csr.push_row(row))?;
-        csr.shrink();
+        let mut csr = Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() };
+        for mut row in by_row {
+            row.sort_by_key(|&(j, _)| j);
+            for sum in row.chunk_by(|a, b| a.0 == b.0) {
+                csr.col_idx.push(sum[0].0);
+                csr.values.push(sum.iter().map(|(_, v)| v).sum());
+            }
+            csr.row_ptr.push(index(csr.col_idx.len())?);
+        }
         Ok(csr)
     }
 
-    /// A matrix with `cols` columns and no rows yet.
+    /// A matrix with `cols` columns whose rows have so many entries: `write` gives the columns, in any order and none twice,
+    /// and the values of a row; threads share the rows, each with a `scratch` of its own.
     ///
     /// # Errors
-    /// [`Error::TooLarge`].
-    pub fn empty(cols: usize) -> Result<Self, Error> {
+    /// [`Error::OutOfRange`], [`Error::Repeated`], [`Error::NonFinite`], [`Error::TooLarge`].
+    pub fn by_rows<S>(
+        cols: usize,
+        lengths: impl Iterator<Item = usize>,
+        scratch: impl Fn() -> S + Sync,
+        write: impl Fn(&mut S, usize, &mut [u32], &mut [f64]) + Sync,
+    ) -> Result<Self, Error> {
         index(cols)?;
-        Ok(Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() })
-    }
-
-    /// Appends a row of (column, value) in any order, the quicker if columns ascend; repeated places are summed, in the
-    /// order given.
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`], [`Error::NonFinite`], [`Error::TooLarge`]. The matrix must then not be used.
-    pub fn push_row(&mut self, entries: impl IntoIterator<Item = (u32, f64)>) -> Result<(), Error> {
-        let start = self.col_idx.len();
-        for (j, v) in entries {
-            check_index("column", j as usize, self.cols)?;
-            if !v.is_finite() {
-                return Err(Error::NonFinite { row: self.rows(), column: j as usize });
-            }
-            self.col_idx.push(j);
-            self.values.push(v);
+        let mut row_ptr = vec![0];
+        let mut entries = 0;
+        for length in lengths {
+            entries += length;
+            row_ptr.push(index(entries)?);
         }
-        if !self.col_idx[start..].is_sorted_by(|a, b| a < b) {
-            let columns = self.col_idx.drain(start..);
-            let mut row: Vec<(u32, f64)> = columns.zip(self.values.drain(start..)).collect();
-            row.sort_by_key(|&(j, _)| j);
-            for (j, v) in row {
-                if self.col_idx.len() > start && self.col_idx.last() == Some(&j) {
-                    self.values.last_mut().into_iter().for_each(|sum| *sum += v);
-                } else {
-                    self.col_idx.push(j);
-                    self.values.push(v);
+        let rows = index(row_ptr.len() - 1)? as usize;
+        let (mut col_idx, mut values) = (vec![0; entries], vec![0.0; entries]);
+        let parts = rayon::current_num_threads();
+        let mut rest = (&mut col_idx[..], &mut values[..]);
+        let parts: Vec<_> = (0..parts)
+            .map(|part| {
+                let own = rows * part / parts..rows * (part + 1) / parts;
+                let (columns, values) = std::mem::take(&mut rest);
+                let until = (row_ptr[own.end] - row_ptr[own.start]) as usize;
+                let (columns, values) = (columns.split_at_mut(until), values.split_at_mut(until));
+                rest = (columns.1, values.1);
+                (own, columns.0, values.0)
+            })
+            .collect();
+        parts.into_par_iter().try_for_each(|(own, columns, values)| {
+            let mut scratch = scratch();
+            let first = row_ptr[own.start];
+            for row in own {
+                let range = (row_ptr[row] - first) as usize..(row_ptr[row + 1] - first) as usize;
+                let (columns, values) = (&mut columns[range.clone()], &mut values[range]);
+                write(&mut scratch, row, columns, values);
+                if !columns.is_sorted() {
+                    let mut pairs: Vec<(u32, f64)> = columns.iter().copied().zip(values.iter().copied()).collect();
+                    pairs.sort_unstable_by_key(|&(j, _)| j);
+                    columns.iter_mut().zip(values.iter_mut()).zip(pairs).for_each(|((j, v), pair)| (*j, *v) = pair);
+                }
+                if let Some(&j) = columns.last() {
+                    check_index("column", j as usize, cols)?;
+                }
+                if let Some(pair) = columns.windows(2).find(|pair| pair[0] == pair[1]) {
+                    return Err(Error::Repeated { what: "column", index: pair[0] as usize });
+                }
+                if let Some(k) = values.iter().position(|v| !v.is_finite()) {
+                    return Err(Error::NonFinite { row, column: columns[k] as usize });
                 }
             }
-        }
-        index(self.row_ptr.len())?;
-        self.row_ptr.push(index(self.col_idx.len())?);
-        Ok(())
-    }
-
-    /// Appends the rows of a matrix with as many columns.
-    ///
-    /// # Errors
-    /// [`Error::Dimension`], [`Error::TooLarge`].
-    pub fn append(&mut self, other: &Self) -> Result<(), Error> {
-        check_len("columns", self.cols, other.cols)?;
-        let entries = self.col_idx.len();
-        index(self.row_ptr.len() + other.rows())?;
-        index(entries + other.col_idx.len())?;
-        self.row_ptr.extend(other.row_ptr[1..].iter().map(|&end| entries as u32 + end));
-        self.col_idx.extend_from_slice(&other.col_idx);
-        self.values.extend_from_slice(&other.values);
-        Ok(())
-    }
-
-    /// Forgets the rows and keeps the memory.
-    pub fn clear(&mut self) {
-        self.row_ptr.truncate(1);
-        self.col_idx.clear();
-        self.values.clear();
-    }
-
-    /// Makes room for further rows and entries.
-    pub fn reserve(&mut self, rows: usize, entries: usize) {
-        self.row_ptr.reserve_exact(rows);
-        self.col_idx.reserve_exact(entries);
-        self.values.reserve_exact(entries);
-    }
-
-    /// Gives back the memory that further rows would take.
-    pub fn shrink(&mut self) {
-        self.row_ptr.shrink_to_fit();
-        self.col_idx.shrink_to_fit();
-        self.values.shrink_to_fit();
+            Ok(())
+        })?;
+        Ok(Self { cols, row_ptr, col_idx, values })
     }
 
     /// Number of rows.

@@ -39,5 +39,5 @@ pub use faer::{Mat, MatMut, MatRef, Par};
 pub use gmres::{Krylov, gmres};
 pub use graph::BlockGraph;
 pub use ordering::{Method, Ordering};
-pub use pattern::{CellMatrices, Pattern, SparseSymmetric};
+pub use pattern::{Columns, Pattern, SparseSymmetric};
 pub use tiles::DenseSymmetric;

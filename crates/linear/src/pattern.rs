@@ -7,8 +7,6 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use crate::error::{Error, check_index, check_len, index};
 use crate::graph::BlockGraph;
 use crate::ordering::Ordering;
@@ -133,51 +131,6 @@ impl Pattern {
         (&self.col_ptr, rows)
     }
 
-    /// Adds the contribution of a cell to the columns of the blocks at some consecutive places, whose entries are `values`.
-    fn scatter(&self, columns: Range<usize>, values: &mut [f64], blocks: &[u32], local: &[f64]) -> Result<(), Error> {
-        let mut width = 0;
-        for &block in blocks {
-            check_index("block", block as usize, self.place.len())?;
-            width += self.positions(self.place[block as usize]).len();
-        }
-        check_len("local matrix", width * width, local.len())?;
-        let first = self.first_entry(columns.start);
-        let mut at_column = 0;
-        for &b in blocks {
-            let p = self.place[b as usize];
-            let own = self.positions(p);
-            if !columns.contains(&(p as usize)) {
-                at_column += own.len();
-                continue;
-            }
-            let (begin, list) = (self.list_ptr[p as usize] as usize, self.list_of(p as usize));
-            let mut at_row = 0;
-            for &a in blocks {
-                let q = self.place[a as usize];
-                let rows = self.positions(q);
-                if q >= p {
-                    let found = list
-                        .binary_search(&q)
-                        .map_err(|_| Error::NotInPattern { row: a.max(b) as usize, column: a.min(b) as usize })?;
-                    let offset = self.offset[begin + found] as usize;
-                    for c in 0..own.len() {
-                        // Within the diagonal block, column c starts at its own row.
-                        let skip = if p == q { c } else { 0 };
-                        let start = self.col_ptr[own.start + c] as usize + offset + skip - c - first;
-                        let values = &mut values[start..start + rows.len() - skip];
-                        let from = (at_column + c) * width + at_row + skip;
-                        for (value, add) in values.iter_mut().zip(&local[from..from + rows.len() - skip]) {
-                            *value += add;
-                        }
-                    }
-                }
-                at_row += rows.len();
-            }
-            at_column += own.len();
-        }
-        Ok(())
-    }
-
     /// The positions of the block at a place.
     fn positions(&self, place: u32) -> Range<usize> {
         self.start[place as usize] as usize..self.start[place as usize + 1] as usize
@@ -219,33 +172,75 @@ impl Pattern {
     }
 }
 
-/// Dense symmetric contributions of cells, one behind the other.
-#[derive(Clone, Debug, Default)]
-pub struct CellMatrices {
-    blocks: Vec<u32>,
-    values: Vec<f64>,
-    /// Ends of each cell's blocks and values.
-    ends: Vec<(usize, usize)>,
+/// Some columns of a [`SparseSymmetric`] that is being assembled.
+#[derive(Debug)]
+pub struct Columns<'a> {
+    pattern: &'a Pattern,
+    places: Range<usize>,
+    /// Number of the first value.
+    first: usize,
+    values: &'a mut [f64],
 }
 
-impl CellMatrices {
-    /// Forgets the cells and keeps the memory.
-    pub fn clear(&mut self) {
-        self.blocks.clear();
-        self.values.clear();
-        self.ends.clear();
+impl Columns<'_> {
+    /// Whether [`add`](Self::add) for these blocks would change anything here.
+    ///
+    /// # Panics
+    /// If there is no such block.
+    pub fn concern(&self, blocks: &[u32]) -> bool {
+        blocks.iter().any(|&b| self.places.contains(&(self.pattern.place[b as usize] as usize)))
     }
 
-    /// Appends a cell, as [`SparseSymmetric::add`] takes it.
-    pub fn push(&mut self, blocks: impl IntoIterator<Item = u32>, local: impl IntoIterator<Item = f64>) {
-        self.blocks.extend(blocks);
-        self.values.extend(local);
-        self.ends.push((self.blocks.len(), self.values.len()));
-    }
-
-    fn iter(&self) -> impl Iterator<Item = (&[u32], &[f64])> {
-        let starts = std::iter::once(&(0, 0)).chain(&self.ends);
-        starts.zip(&self.ends).map(|(a, b)| (&self.blocks[a.0..b.0], &self.values[a.1..b.1]))
+    /// Adds the part in these columns of the dense symmetric contribution of a cell.
+    ///
+    /// `local` is a symmetric matrix over the unknowns of `blocks`, in the order of that list; one triangle is read. A block
+    /// may occur twice, its contributions are then all added.
+    ///
+    /// # Errors
+    /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks
+    /// of the same call may then have been added.
+    pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
+        let Self { pattern, places, first, values } = self;
+        let mut width = 0;
+        for &block in blocks {
+            check_index("block", block as usize, pattern.place.len())?;
+            width += pattern.positions(pattern.place[block as usize]).len();
+        }
+        check_len("local matrix", width * width, local.len())?;
+        let mut at_column = 0;
+        for &b in blocks {
+            let p = pattern.place[b as usize];
+            let own = pattern.positions(p);
+            if !places.contains(&(p as usize)) {
+                at_column += own.len();
+                continue;
+            }
+            let (begin, list) = (pattern.list_ptr[p as usize] as usize, pattern.list_of(p as usize));
+            let mut at_row = 0;
+            for &a in blocks {
+                let q = pattern.place[a as usize];
+                let rows = pattern.positions(q);
+                if q >= p {
+                    let found = list
+                        .binary_search(&q)
+                        .map_err(|_| Error::NotInPattern { row: a.max(b) as usize, column: a.min(b) as usize })?;
+                    let offset = pattern.offset[begin + found] as usize;
+                    for c in 0..own.len() {
+                        // Within the diagonal block, column c starts at its own row.
+                        let skip = if p == q { c } else { 0 };
+                        let start = pattern.col_ptr[own.start + c] as usize + offset + skip - c - *first;
+                        let values = &mut values[start..start + rows.len() - skip];
+                        let from = (at_column + c) * width + at_row + skip;
+                        for (value, add) in values.iter_mut().zip(&local[from..from + rows.len() - skip]) {
+                            *value += add;
+                        }
+                    }
+                }
+                at_row += rows.len();
+            }
+            at_column += own.len();
+        }
+        Ok(())
     }
 }
 
@@ -293,49 +288,35 @@ impl SparseSymmetric {
         self.values.fill(0.0);
     }
 
-    /// Adds the dense symmetric contribution of a cell.
-    ///
-    /// `local` is a symmetric matrix over the unknowns of `blocks`, in the order of that list; one triangle is read. A block
-    /// may occur twice, its contributions are then all added.
+    /// Adds the dense symmetric contribution of a cell. See [`Columns::add`].
     ///
     /// # Errors
-    /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks
-    /// of the same call may then have been added.
+    /// As there.
     pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
-        self.pattern.scatter(0..self.pattern.place.len(), &mut self.values, blocks, local)
+        let places = 0..self.pattern.place.len();
+        Columns { pattern: &self.pattern, places, first: 0, values: &mut self.values }.add(blocks, local)
     }
 
-    /// Adds the contributions of many cells, in the order given, as [`SparseSymmetric::add`] does one by one. Threads share
-    /// the columns, so the sums do not depend on their number.
-    ///
-    /// # Errors
-    /// Those of [`SparseSymmetric::add`]; some of the contributions may then have been added.
-    pub fn add_cells(&mut self, parts: &[&CellMatrices]) -> Result<(), Error> {
+    /// The columns in so many parts of about as many entries, for threads to fill: if each adds all cells that
+    /// [concern](Columns::concern) its part, in the same order, then the sums do not depend on their number.
+    pub fn columns(&mut self, parts: usize) -> Vec<Columns<'_>> {
         let pattern = &*self.pattern;
-        let (blocks, shares) = (pattern.place.len(), rayon::current_num_threads());
-        let mut pieces = Vec::with_capacity(shares);
+        let blocks = pattern.place.len();
         let mut rest = &mut self.values[..];
-        let (mut first, mut begin) = (0, 0);
-        for share in 1..=shares {
-            let wanted = pattern.entries() * share / shares;
-            let mut end = first;
-            while end < blocks && pattern.first_entry(end) < wanted {
-                end += 1;
-            }
-            // Blocks without unknowns at the end belong to the last share.
-            if share == shares {
-                end = blocks;
-            }
-            let until = pattern.first_entry(end);
-            let (own, after) = std::mem::take(&mut rest).split_at_mut(until - begin);
-            pieces.push((first..end, own));
-            (rest, first, begin) = (after, end, until);
-        }
-        (pieces.into_par_iter())
-            .map(|(columns, values)| {
-                parts.iter().try_for_each(|part| {
-                    part.iter().try_for_each(|(blocks, local)| pattern.scatter(columns.clone(), values, blocks, local))
-                })
+        let (mut start, mut first) = (0, 0);
+        (1..=parts)
+            .map(|part| {
+                let wanted = pattern.entries() * part / parts;
+                let mut end = start;
+                // Blocks without unknowns at the end belong to the last part.
+                while end < blocks && (part == parts || pattern.first_entry(end) < wanted) {
+                    end += 1;
+                }
+                let until = pattern.first_entry(end);
+                let (values, after) = std::mem::take(&mut rest).split_at_mut(until - first);
+                let columns = Columns { pattern, places: start..end, first, values };
+                (rest, start, first) = (after, end, until);
+                columns
             })
             .collect()
     }

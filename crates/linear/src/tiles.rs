@@ -40,28 +40,19 @@ pub struct DenseSymmetric {
     len: usize,
     /// Rows of a tile.
     tile: usize,
-    /// Tiles (i, j ≤ i) by rows. The last row and column of tiles are filled up with the identity.
+    /// Tiles (i, j ≤ i) by rows, each by columns; one on the diagonal is whole. The last row and column of tiles are filled up
+    /// with the identity.
     tiles: Vec<Tile>,
+    /// Their values; few large arrays leave fewer gaps in memory than many small ones.
+    single: Vec<f32>,
+    packed: Vec<i16>,
 }
 
-/// A tile by columns; one on the diagonal is whole.
-#[derive(Clone, Debug)]
+/// Where the values of a tile start.
+#[derive(Clone, Copy, Debug)]
 enum Tile {
-    Single(Vec<f32>),
-    Packed { values: Vec<i16>, scale: f32 },
-}
-
-impl Tile {
-    /// Packs a tile if no entry is above `limit`.
-    fn new(values: &[f32], limit: f32) -> Self {
-        const LARGEST: f32 = i16::MAX as f32;
-        let largest = values.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
-        if largest > limit {
-            return Self::Single(values.to_vec());
-        }
-        let by = if largest > 0.0 { LARGEST / largest } else { 0.0 };
-        Self::Packed { values: values.iter().map(|v| (v * by).round() as i16).collect(), scale: largest / LARGEST }
-    }
+    Single { start: usize },
+    Packed { start: usize, scale: f32 },
 }
 
 impl DenseSymmetric {
@@ -75,8 +66,46 @@ impl DenseSymmetric {
                 lower.set(j, i, value);
             }
         }
-        let tiles = lower.rows.iter().flat_map(|row| lower.pack(row, 0.0)).collect();
-        Self { len, tile: lower.tile, tiles }
+        let mut result = Self::with_capacity(len, [true, false]);
+        lower.rows.iter().enumerate().for_each(|(i, row)| result.set_row(i, row, 0.0));
+        result.shrink();
+        result
+    }
+
+    /// To be filled by [`set_row`](Self::set_row). `tiles` tells whether those off the diagonal may be single, and packed.
+    fn with_capacity(len: usize, tiles: [bool; 2]) -> Self {
+        let tile = tile_rows(len);
+        let (rows, size) = (len.div_ceil(tile), tile * tile);
+        let off_diagonal = first(rows) - rows;
+        let [single, packed] = tiles.map(|possible| if possible { off_diagonal * size } else { 0 });
+        Self {
+            len,
+            tile,
+            tiles: vec![Tile::Single { start: 0 }; first(rows)],
+            single: Vec::with_capacity(rows * size + single),
+            packed: Vec::with_capacity(packed),
+        }
+    }
+
+    /// Sets the tiles of row `i`, the last of which is on the diagonal; others without an entry above `limit` are packed.
+    fn set_row(&mut self, i: usize, row: &[f32], limit: f32) {
+        const LARGEST: f32 = i16::MAX as f32;
+        for (j, values) in row.chunks_exact(self.tile * self.tile).enumerate() {
+            let largest = values.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
+            self.tiles[first(i) + j] = if i == j || largest > limit {
+                self.single.extend_from_slice(values);
+                Tile::Single { start: self.single.len() - values.len() }
+            } else {
+                let by = if largest > 0.0 { LARGEST / largest } else { 0.0 };
+                self.packed.extend(values.iter().map(|v| (v * by).round() as i16));
+                Tile::Packed { start: self.packed.len() - values.len(), scale: largest / LARGEST }
+            };
+        }
+    }
+
+    fn shrink(&mut self) {
+        self.single.shrink_to_fit();
+        self.packed.shrink_to_fit();
     }
 
     /// Number of rows and columns.
@@ -96,9 +125,9 @@ impl DenseSymmetric {
     pub fn get(&self, i: usize, j: usize) -> f32 {
         let (i, j) = (i.max(j), i.min(j));
         let inside = j % self.tile * self.tile + i % self.tile;
-        match &self.tiles[first(i / self.tile) + j / self.tile] {
-            Tile::Single(values) => values[inside],
-            Tile::Packed { values, scale } => scale * f32::from(values[inside]),
+        match self.tiles[first(i / self.tile) + j / self.tile] {
+            Tile::Single { start } => self.single[start + inside],
+            Tile::Packed { start, scale } => scale * f32::from(self.packed[start + inside]),
         }
     }
 
@@ -108,8 +137,8 @@ impl DenseSymmetric {
     /// If there is no such entry.
     pub fn add_to_diagonal(&mut self, i: usize, value: f32) {
         let (row, inside) = (i / self.tile, i % self.tile * (self.tile + 1));
-        match &mut self.tiles[first(row) + row] {
-            Tile::Single(values) => values[inside] += value,
+        match self.tiles[first(row) + row] {
+            Tile::Single { start } => self.single[start + inside] += value,
             Tile::Packed { .. } => unreachable!("tiles on the diagonal are not packed"),
         }
     }
@@ -181,39 +210,29 @@ impl Triangle {
         }
     }
 
-    /// The tiles of a row, the last of which is on the diagonal; others without an entry above `limit` are packed.
-    fn pack(&self, row: &[f32], limit: f32) -> Vec<Tile> {
-        let size = self.tile * self.tile;
-        let last = row.len() / size - 1;
-        let limit = |j| if j == last { -1.0 } else { limit };
-        row.par_chunks_exact(size).enumerate().map(|(j, tile)| Tile::new(tile, limit(j))).collect()
-    }
-
-    /// The matrix of rows of tiles.
-    fn matrix(&self, rows: Vec<Vec<Tile>>) -> DenseSymmetric {
-        DenseSymmetric { len: self.len, tile: self.tile, tiles: rows.into_iter().flatten().collect() }
-    }
-
     /// L Lᵀ, L being this triangle.
-    pub(crate) fn square(&self) -> DenseSymmetric {
+    pub(crate) fn square(mut self) -> DenseSymmetric {
         let (t, size) = (self.tile, self.tile * self.tile);
         let diagonal =
             (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
         let limit = SMALL * diagonal.fold(0.0, f32::max);
-        let mut result = Vec::new();
-        let mut row = Vec::new();
-        for own in &self.rows {
-            row.clear();
-            row.resize(own.len(), 0.0);
-            row.par_chunks_exact_mut(size).zip(&self.rows).for_each(|(out, other)| {
+        let mut result = DenseSymmetric::with_capacity(self.len, [true, true]);
+        // Row i of L Lᵀ needs the rows up to i of L: from the last on, L makes room for it.
+        for i in (0..self.rows.len()).rev() {
+            let own = std::mem::take(&mut self.rows[i]);
+            let mut row = vec![0.0; own.len()];
+            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
+                let other = if j == i { &own } else { &self.rows[j] };
                 for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
-            result.push(self.pack(&row, limit));
+            drop(own);
+            result.set_row(i, &row, limit);
         }
-        self.matrix(result)
+        result.shrink();
+        result
     }
 
     /// L becomes L⁻¹.
@@ -244,7 +263,7 @@ impl Triangle {
     pub(crate) fn inverse(mut self) -> DenseSymmetric {
         self.invert_triangle();
         let size = self.tile * self.tile;
-        let mut result = Vec::new();
+        let mut result = DenseSymmetric::with_capacity(self.len, [false, true]);
         for i in 0..self.rows.len() {
             // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N.
             let own = std::mem::take(&mut self.rows[i]);
@@ -257,9 +276,10 @@ impl Triangle {
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
-            result.push(self.pack(&row, f32::INFINITY));
+            drop(own);
+            result.set_row(i, &row, f32::INFINITY);
         }
-        self.matrix(result)
+        result
     }
 }
 
@@ -288,7 +308,7 @@ impl WithSimd for TileRows<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { matrix, rows, x, zero, sum } = self;
-        let t = matrix.tile;
+        let (t, size) = (matrix.tile, matrix.tile * matrix.tile);
         for i in rows {
             let (before, own) = sum.split_at_mut(i * t);
             let (own, xi) = (&mut own[..t], &x[i * t..][..t]);
@@ -297,21 +317,23 @@ impl WithSimd for TileRows<'_> {
                     continue;
                 }
                 let xj = &x[j * t..][..t];
-                match tile {
-                    Tile::Single(values) if j == i => add_product(simd, values, xi, own),
-                    Tile::Single(values) => {
+                match *tile {
+                    Tile::Single { start } if j == i => add_product(simd, &matrix.single[start..][..size], xi, own),
+                    Tile::Single { start } => {
+                        let values = &matrix.single[start..][..size];
                         let yj = &mut before[j * t..][..t];
                         for ((columns, xj), yj) in groups(values, xj, yj) {
                             add_products(simd, columns, 1.0, (xi, xj), own, yj);
                         }
                     }
-                    Tile::Packed { values, scale } => {
+                    Tile::Packed { start, scale } => {
+                        let values = &matrix.packed[start..][..size];
                         let mut buffer = [0.0f32; GROUP * TILE];
                         let yj = &mut before[j * t..][..t];
                         for ((packed, xj), yj) in groups(values, xj, yj) {
                             let columns = &mut buffer[..packed.len()];
                             columns.iter_mut().zip(packed).for_each(|(c, &p)| *c = f32::from(p));
-                            add_products(simd, columns, *scale, (xi, xj), own, yj);
+                            add_products(simd, columns, scale, (xi, xj), own, yj);
                         }
                     }
                 }
@@ -401,7 +423,7 @@ mod tests {
     fn from_a_factor_to_the_matrix_and_its_inverse() {
         for n in [1, 3, 5, TILE, 2 * TILE + 37, 11 * TILE] {
             let (a, factor, x) = example(n);
-            let (square, inverse) = (factor.square(), factor.inverse());
+            let (square, inverse) = (factor.clone().square(), factor.inverse());
             let identity = Mat::<f64>::identity(n, n);
             let exact = a.llt(faer::Side::Lower).unwrap().solve(&identity);
             for (matrix, exact) in [(&square, &a), (&inverse, &exact)] {

@@ -5,7 +5,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Random, System, grid, local, pattern};
-use linear::{BlockGraph, CellMatrices, Csr, Error, Method, Ordering, Pattern, SparseSymmetric};
+use linear::{BlockGraph, Csr, Error, Method, Ordering, Pattern, SparseSymmetric};
 use proptest::prelude::*;
 
 /// Block sizes, and cells over these blocks (repetitions allowed).
@@ -121,21 +121,20 @@ fn refilling_repeats_the_same_bits() {
 }
 
 #[test]
-fn many_cells_add_up_as_one_by_one_on_any_number_of_threads() {
+fn parts_of_the_columns_add_up_as_the_whole() {
     let cells = grid(5, 4, 3);
     let mut random = Random(4);
     let matrices: Vec<Vec<f64>> = cells.iter().map(|_| local(&mut random, 24)).collect();
     let graph = BlockGraph::uniform(60, 3, &cells).unwrap();
     let mut one_by_one = SparseSymmetric::zeros(pattern(&graph, Method::Metis, &[7, 3]));
     cells.iter().zip(&matrices).for_each(|(cell, k)| one_by_one.add(cell, k).unwrap());
-    let mut parts = [CellMatrices::default(), CellMatrices::default()];
-    for (k, (cell, matrix)) in cells.iter().zip(&matrices).enumerate() {
-        parts[k * 2 / cells.len()].push(cell.iter().copied(), matrix.iter().copied());
-    }
-    for threads in [1, 2, 3] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    for parts in [1, 2, 3, 70] {
         let mut a = SparseSymmetric::zeros(Arc::clone(one_by_one.pattern()));
-        pool.install(|| a.add_cells(&[&parts[0], &parts[1]])).unwrap();
+        for mut columns in a.columns(parts) {
+            for (cell, k) in cells.iter().zip(&matrices).filter(|(cell, _)| columns.concern(cell)).collect::<Vec<_>>() {
+                columns.add(cell, k).unwrap();
+            }
+        }
         assert!(a.values() == one_by_one.values());
     }
 }
@@ -163,6 +162,22 @@ fn wrong_input_is_reported() {
     assert_eq!(Csr::from_triplets(2, 2, &[(0, 1, f64::NAN)]).unwrap_err(), Error::NonFinite { row: 0, column: 1 });
     assert!(matches!(Csr::from_triplets(2, 2, &[(0, 2, 1.0)]), Err(Error::OutOfRange { what: "column", .. })));
     assert!(matches!(Csr::from_triplets(2, 2, &[(2, 0, 1.0)]), Err(Error::OutOfRange { what: "row", .. })));
+    let by_rows = |columns: [u32; 2], value: f64| {
+        Csr::by_rows(
+            3,
+            [0, 2].into_iter(),
+            || (),
+            |(), row, own, values| {
+                assert_eq!((row, own.len()), if own.is_empty() { (0, 0) } else { (1, 2) });
+                own.iter_mut().zip(columns).for_each(|(own, column)| *own = column);
+                values.iter_mut().zip([1.0, value]).for_each(|(own, value)| *own = value);
+            },
+        )
+    };
+    assert_eq!(by_rows([2, 0], 4.0), Csr::from_triplets(2, 3, &[(1, 0, 4.0), (1, 2, 1.0)]));
+    assert_eq!(by_rows([2, 2], 4.0).unwrap_err(), Error::Repeated { what: "column", index: 2 });
+    assert_eq!(by_rows([1, 0], f64::NAN).unwrap_err(), Error::NonFinite { row: 1, column: 0 });
+    assert_eq!(by_rows([0, 3], 4.0).unwrap_err(), Error::OutOfRange { what: "column", index: 3, bound: 3 });
     let csr = Csr::from_triplets(2, 3, &[]).unwrap();
     assert!(csr.mul(&[0.0; 2], &mut [0.0; 2]).is_err());
     assert!(csr.mul_transpose(&[0.0; 2], &mut [0.0; 2]).is_err());
