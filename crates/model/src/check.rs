@@ -1,15 +1,22 @@
 //! What can be wrong with a model that every table of it allows.
 
-use mesh::Mesh;
+use mesh::{Mesh, Vec3};
 
 use crate::description::{Acceleration, Coupling, Criterion, Fracture, Friction, MeshSource, Region, Time, Well};
 use crate::document::quote;
 use crate::expression::{Function, Node, Scope, parse};
 use crate::value::compile;
-use crate::{ExpressionError, Model, Number, Value};
+use crate::{ExpressionError, Model, Number, TipDistances, Value};
 
 /// Names of the fields that the two units exchange.
 pub const FIELDS: [&str; 4] = ["matrix.pressure", "fracture.pressure", "matrix.porosity_change", "fracture.aperture"];
+
+/// No mesh that one machine can use has more.
+pub(crate) const MOST_CELLS: usize = 20_000_000;
+/// No run makes more: at a millisecond each that would be three hours.
+const MOST_TIME_STEPS: f64 = 1e7;
+/// Smaller steps, as a part of the time, are lost in its round-off.
+const LEAST_OF_TIME: f64 = 1e-9;
 
 /// Problems as path of the key and message.
 #[derive(Default)]
@@ -368,7 +375,32 @@ impl Model {
         for name in self.flow.iter().flat_map(|f| f.boundary.keys()) {
             tag(format!("flow.boundary.{}", quote(name)), name);
         }
+        self.check_apertures(mesh, &mut log);
         log.0
+    }
+
+    /// Contact apertures that are not positive: one message a fracture.
+    fn check_apertures(&self, mesh: &Mesh, log: &mut Log) {
+        let network = mesh.network();
+        let tips = TipDistances::new(mesh);
+        for (i, name) in mesh.data().fractures.iter().enumerate() {
+            let Some(fracture) = self.fractures.get(name) else { continue };
+            let Ok(aperture) = self.function(&fracture.contact_aperture, Scope::Fracture) else { continue };
+            let own = network.faces.iter().zip(&network.fracture).filter(|of| *of.1 == i).map(|of| *of.0);
+            let wrong: Vec<(Vec3, f64)> = own
+                .map(|face| mesh.geometry().face_center[face])
+                .map(|center| (center, aperture.at(&tips.point(i, center))))
+                .filter(|(_, value)| !(*value > 0.0 && value.is_finite()))
+                .collect();
+            if let Some((Vec3 { x, y, z }, value)) = wrong.first() {
+                let message = format!(
+                    "it is {value:.3e} at ({x:.4e}, {y:.4e}, {z:.4e}) m, the middle of one of {} such faces; it must be \
+                     positive and finite (m)",
+                    wrong.len()
+                );
+                log.add(format!("fractures.{}.contact_aperture", quote(name)), message);
+            }
+        }
     }
 }
 
@@ -396,6 +428,10 @@ fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
         }
         if b.cells.contains(&0) {
             log.add("mesh.box.cells", "every number must be at least 1");
+        }
+        let count = b.cells.iter().fold(1_usize, |product, &n| product.saturating_mul(n));
+        if count > MOST_CELLS {
+            log.add("mesh.box.cells", format!("together more cells than the {MOST_CELLS} that are allowed"));
         }
         log.number("mesh.box.kershaw".into(), b.kershaw, |v| v > 0.0 && v <= 1.0, "above 0 and at most 1");
     }
@@ -475,6 +511,7 @@ fn check_time(time: &Time, log: &mut Log) {
         log.add("time.end", "it must be after time.start");
     }
     log.positive("time.step".into(), time.step);
+    check_step_count(time, log);
     log.positive("time.minimum".into(), time.minimum);
     if let (Some(minimum), Some(step)) = (time.minimum, time.step)
         && minimum > step
@@ -492,6 +529,28 @@ fn check_time(time: &Time, log: &mut Log) {
         for (name, &change) in &adaptive.largest_change {
             check_field(&format!("time.adaptive.largest_change.{}", quote(name)), name, log);
             log.positive(format!("time.adaptive.largest_change.{}", quote(name)), change);
+        }
+    }
+}
+
+/// Whether the run would come to its end: where steps are fixed, and by the largest one where they adapt.
+fn check_step_count(time: &Time, log: &mut Log) {
+    let (start, end) = (time.start.0, time.end.0);
+    let fixed_to = match &time.adaptive {
+        None => end,
+        Some(adaptive) => adaptive.from.map_or(start, |from| from.0.clamp(start.min(end), end)),
+    };
+    let largest = time.adaptive.as_ref().and_then(|adaptive| adaptive.maximum);
+    let parts = [("time.step", time.step, start, fixed_to), ("time.adaptive.maximum", largest, fixed_to, end)];
+    for (key, step, from, to) in parts {
+        let Some(Number(step)) = step else { continue };
+        let least = ((to - from) / MOST_TIME_STEPS).max(LEAST_OF_TIME * from.abs().max(to.abs()));
+        if step > 0.0 && to > from && step < least {
+            let message = format!(
+                "{step:e} s is too small from {from} to {to} s; it must be at least {least:.3e} s, so that there are at most \
+                 {MOST_TIME_STEPS:.0} time steps and none is lost in round-off"
+            );
+            log.add(key, message);
         }
     }
 }

@@ -110,6 +110,11 @@ impl Document {
         Problems(vec![Problem { key: key.to_owned(), place, message: message.to_owned() }]).into()
     }
 
+    /// A key with its place, as a message begins.
+    pub(crate) fn place(&self, key: &str) -> String {
+        self.span(key).map_or_else(|| key.to_owned(), |span| format!("{}: {key}", place(&self.sources, &span)))
+    }
+
     /// Where a key, or else the nearest table or list around it, stands.
     fn span(&self, key: &str) -> Option<Range<usize>> {
         let mut names = split(key);

@@ -73,11 +73,21 @@ pub enum ModelError {
         error: std::io::Error,
     },
     /// The mesh cannot be made.
-    #[error("the mesh cannot be made: {0}")]
-    Generator(#[from] mesh::generate::InputError),
+    #[error("{place}: the mesh cannot be made: {error}")]
+    Generator {
+        /// The entry of the model that asks for it, with its place.
+        place: String,
+        /// What is wrong with it.
+        error: mesh::generate::InputError,
+    },
     /// The mesh is not sound.
-    #[error(transparent)]
-    Mesh(#[from] mesh::MeshError),
+    #[error("{place}: {error}")]
+    Mesh {
+        /// The entry of the model that made it, with its place, or the file that it was read from.
+        place: String,
+        /// What is wrong with it.
+        error: mesh::MeshError,
+    },
     /// The reader of mesh files refused.
     #[error("the mesh {} cannot be read: {reason}", path.display())]
     MeshFile {

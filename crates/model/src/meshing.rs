@@ -1,13 +1,14 @@
 //! The mesh that a model describes.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use mesh::generate::{self, Triangles};
+use mesh::generate::{self, InputError, Triangles};
 use mesh::{EdgeKind, Mesh, MeshData, Vec3};
 
+use crate::check::MOST_CELLS;
 use crate::document::Document;
 use crate::expression::{Function, Point, Scope};
-use crate::{Cells, CornerPoint, Extrude, ModelError, Value};
+use crate::{Cells, CornerPoint, Extrude, MeshSource, ModelError, Value};
 
 /// Reads a mesh file; with the second argument, a corner-point grid.
 pub type ReadMesh<'a> = &'a dyn Fn(&Path, Option<&CornerPoint>) -> Result<MeshData, String>;
@@ -16,15 +17,39 @@ impl Document {
     /// Makes the mesh, and checks that the model fits it. Files are relative to `folder` and read by `read`.
     ///
     /// # Errors
-    /// [`ModelError`]: what the generators, the reader or [`Mesh`] refuse, and names that do not fit.
+    /// [`ModelError`]: what the generators, the reader or [`Mesh`] refuse, with the entry of the model; names that do not fit;
+    /// contact apertures that are not positive.
     pub fn mesh(&self, folder: &Path, read: ReadMesh<'_>) -> Result<Mesh, ModelError> {
         let source = &self.model.mesh;
+        let unsound = |key: &str| {
+            let place = match source.file_read() {
+                Some(file) if key == source.key() => folder.join(file).display().to_string(),
+                _ => self.place(key),
+            };
+            |error| ModelError::Mesh { place, error }
+        };
+        let refused = |key: &str| {
+            let place = self.place(key);
+            |error| ModelError::Generator { place, error }
+        };
+        // What made the present `data`.
+        let mut key = source.key();
         let mut data = self.base(folder, read)?;
         for (name, place) in self.marks(source.fractures.iter())? {
             data.mark_fracture(&name, |x| place.holds(&Point::new(x, 0.0)));
         }
         if let Some(extrude) = &source.extrude {
-            data = extruded(&Mesh::new(data)?, extrude)?;
+            let plane = Mesh::new(data).map_err(unsound(key))?;
+            let layers = extrude.layers.iter().fold(0_usize, |sum, &n| sum.saturating_add(n));
+            if plane.cell_count().saturating_mul(layers) > MOST_CELLS {
+                let message = format!(
+                    "{layers} layers over {} cells; at most {MOST_CELLS} cells are allowed",
+                    plane.cell_count()
+                );
+                return Err(self.invalid("mesh.extrude.layers", &message));
+            }
+            key = "mesh.extrude";
+            data = extruded(&plane, extrude).map_err(refused(key))?;
         }
         let regions = self.marks(source.regions.iter())?;
         for cell in 0..data.cells.len() {
@@ -35,14 +60,23 @@ impl Document {
             }
         }
         if let Some(perturb) = &source.perturb {
-            data = generate::perturb(&Mesh::new(data)?, perturb.amplitude.0, perturb.seed);
+            let still = Mesh::new(data).map_err(unsound(key))?;
+            key = "mesh.perturb";
+            data = generate::perturb(&still, perturb.amplitude.0, perturb.seed);
         }
-        data = match source.cells {
-            Cells::AsMade => data,
-            Cells::Simplices => generate::simplices(&Mesh::new(data)?)?,
-            Cells::Dual => generate::dual(&Mesh::new(generate::simplices(&Mesh::new(data)?)?)?)?,
-            Cells::Agglomerate(n) => generate::agglomerate(&Mesh::new(generate::simplices(&Mesh::new(data)?)?)?, n)?,
-        };
+        if source.cells != Cells::AsMade {
+            let cells = Mesh::new(data).map_err(unsound(key))?;
+            key = "mesh.cells";
+            data = generate::simplices(&cells).map_err(refused(key))?;
+            if source.cells != Cells::Simplices {
+                let simplices = Mesh::new(data).map_err(unsound(key))?;
+                let united = match source.cells {
+                    Cells::Agglomerate(n) => generate::agglomerate(&simplices, n),
+                    _ => generate::dual(&simplices),
+                };
+                data = united.map_err(refused(key))?;
+            }
+        }
         let tags = self.marks(source.tags.iter())?;
         let mut uses = vec![0_u32; data.faces.len()];
         data.cells.items().iter().for_each(|&f| uses[f] += 1);
@@ -52,7 +86,7 @@ impl Document {
                 data.face_tag[face] = Some(data.tag(name));
             }
         }
-        let mesh = Mesh::new(data)?;
+        let mesh = Mesh::new(data).map_err(unsound(key))?;
         self.check_mesh(&mesh)?;
         Ok(mesh)
     }
@@ -94,9 +128,12 @@ impl Document {
                 let limit = self.place_function(limit)?;
                 triangles = triangles.size(move |x| limit.at(&Point::new(x, 0.0)));
             }
-            return Ok(triangles.build()?);
+            return triangles.build().map_err(|error| {
+                let place = self.place("mesh.triangles");
+                ModelError::Generator { place, error }
+            });
         }
-        let Some(file) = source.corner_point.as_ref().map(|grid| &grid.file).or(source.file.as_ref()) else {
+        let Some(file) = source.file_read() else {
             return Err(self.invalid("mesh", "one of `box`, `triangles`, `corner_point` and `file` is required"));
         };
         let path = folder.join(file);
@@ -104,7 +141,24 @@ impl Document {
     }
 }
 
-fn extruded(mesh: &Mesh, extrude: &Extrude) -> Result<MeshData, ModelError> {
+impl MeshSource {
+    /// The file that the mesh is read from.
+    fn file_read(&self) -> Option<&PathBuf> {
+        self.corner_point.as_ref().map(|grid| &grid.file).or(self.file.as_ref())
+    }
+
+    /// The entry that the mesh begins with.
+    fn key(&self) -> &'static str {
+        match (&self.cartesian, &self.triangles, &self.corner_point) {
+            (Some(_), ..) => "mesh.box",
+            (_, Some(_), _) => "mesh.triangles",
+            (.., Some(_)) => "mesh.corner_point",
+            _ => "mesh.file",
+        }
+    }
+}
+
+fn extruded(mesh: &Mesh, extrude: &Extrude) -> Result<MeshData, InputError> {
     let mut levels = Vec::new();
     for (pair, &layers) in extrude.levels.windows(2).zip(&extrude.layers) {
         let (low, high) = (pair[0].0, pair[1].0);
@@ -116,7 +170,7 @@ fn extruded(mesh: &Mesh, extrude: &Extrude) -> Result<MeshData, ModelError> {
         let range = extrude.fractures.get(fracture);
         range.is_none_or(|range| range.0[0] < middle[layer] && middle[layer] < range.0[1])
     };
-    Ok(generate::extrude(mesh, &levels, exists)?)
+    generate::extrude(mesh, &levels, exists)
 }
 
 /// Distances to the tips of fractures, which expressions know as `tip_distance` and `max_tip_distance`. Where a

@@ -257,6 +257,89 @@ fn names_must_fit_the_mesh() {
     }
 }
 
+/// The message about the mesh of a model after changes.
+fn mesh_error(changes: &[&str]) -> String {
+    let document = Document::read("model.toml", GOOD, &[], changes).unwrap();
+    document.mesh(Path::new("folder"), &|_, _| Ok(mesh::MeshData::default())).unwrap_err().to_string()
+}
+
+#[test]
+fn what_is_wrong_with_the_mesh_has_its_place() {
+    let triangles = "[mesh.triangles]\nlow = [0, 0]\nhigh = [1, 1]\nsize = 0.5\n\
+                     fractures.a = { points = [[0.5, 0.5], [1.5, 0.5]], size = 0.1 }";
+    let with = |mesh: &str| {
+        let text = GOOD.replace("[mesh.box]\nlow = [0, 0]\nhigh = [1, 1]\ncells = [4, 4]", mesh);
+        let document = Document::read("model.toml", &text, &[], &[]).unwrap();
+        document.mesh(Path::new("folder"), &|_, _| Ok(mesh::MeshData::default())).unwrap_err().to_string()
+    };
+    let error = with(triangles);
+    let wanted =
+        "model.toml:4:7: mesh.triangles: the mesh cannot be made: the geometry has 1 problem:\n  fracture \"a\" leaves";
+    assert!(error.starts_with(wanted), "{error}");
+    let error = with("[mesh]\nfile = 'a.msh'");
+    assert!(error.starts_with("folder/a.msh: the mesh has 2 problems:\n  the dimension is 0"), "{error}");
+    let error = mesh_error(&["mesh.perturb.amplitude = 0.49", "mesh.perturb.seed = 3", "mesh.box.kershaw = 0.1"]);
+    assert!(error.contains(":1:6: mesh.perturb: the mesh has 1 problem:\n  faces 2 and 14 of cell 4 cross"), "{error}");
+    let levels = "mesh.extrude = { levels = [0, 1], layers = [1250001] }";
+    let error = mesh_error(&[levels, "regions.rock.permeability = 1"]);
+    assert!(
+        error.contains("mesh.extrude.layers: 1250001 layers over 16 cells; at most 20000000 cells are allowed"),
+        "{error}"
+    );
+    let error = problems(GOOD, &["mesh.box.cells = [4000000000000, 4000000000000]"]);
+    assert_all(
+        &error,
+        &[(
+            "mesh.box.cells = [4000000000000, 4000000000000]:1:18: mesh.box.cells",
+            "more cells than the 20000000 that are allowed",
+        )],
+    );
+}
+
+#[test]
+fn contact_apertures_are_positive_on_all_faces() {
+    let law = |aperture: &str| {
+        let fracture = format!("fractures.crack = {{ normal_permeability = 1, contact_aperture = '{aperture}' }}");
+        let changes = ["mesh.fractures.crack = 'x == 0.5'", &fracture];
+        let document = Document::read("model.toml", GOOD, &[], &changes).unwrap();
+        document.mesh(Path::new("."), &|_, _| Err(String::new())).map(drop).map_err(|error| error.to_string())
+    };
+    assert_eq!(law("y"), Ok(()));
+    let error = law("y - 0.5").unwrap_err();
+    let wanted = "fractures.crack.contact_aperture: it is -3.750e-1 at (5.0000e-1, 1.2500e-1, 0.0000e0) m, the middle of one of 2 \
+                  such faces; it must be positive and finite (m)";
+    assert!(error.contains(wanted), "{error}");
+    // The fracture has no tip.
+    let error = law("tip_distance").unwrap_err();
+    assert!(error.contains("it is inf") && error.contains("one of 4 such faces"), "{error}");
+}
+
+#[test]
+fn a_run_has_an_end() {
+    let first = |found: Vec<String>| {
+        assert!(found.len() == 1, "{found:?}");
+        found.into_iter().next().unwrap()
+    };
+    let step = first(problems(GOOD, &["time.step = 1e-30"]));
+    let wanted = "time.step = 1e-30:1:13: time.step: 1e-30 s is too small from 0 to 10 s; it must be at \
+                  least 1.000e-6 s, so that there are at most 10000000 time steps and none is lost in round-off";
+    assert_eq!(step, wanted);
+    assert_eq!(problems(GOOD, &["time.step = 1e-6"]), [""; 0]);
+    // Few steps, but none of them would change the time.
+    let late = ["time.start = 1e9", "time.end = 1000000001", "time.step = 0.1"];
+    assert!(
+        first(problems(GOOD, &late))
+            .contains("time.step: 1e-1 s is too small from 1000000000 to 1000000001 s; it must be at least 1.000e0")
+    );
+    // Where steps adapt, the first may be as small as it likes, the largest not.
+    let adaptive = "time.adaptive = {}";
+    assert_eq!(problems(GOOD, &[adaptive, "time.step = 1e-30"]), [""; 0]);
+    let largest = first(problems(GOOD, &[adaptive, "time.step = 1e-30", "time.adaptive.maximum = 1e-20"]));
+    assert!(largest.contains("time.adaptive.maximum: 1e-20 s is too small from 0 to 10 s"), "{largest}");
+    let from = first(problems(GOOD, &["time.step = 1e-8", "time.adaptive.from = 5"]));
+    assert!(from.contains("time.step: 1e-8 s is too small from 0 to 5 s; it must be at least 5.000e-7"), "{from}");
+}
+
 #[test]
 fn variants_and_changes() {
     let read = |variants: &[&str], changes: &[&str]| Document::read("model.toml", GOOD, variants, changes);

@@ -231,12 +231,10 @@ impl Command {
                 let mesh = case.mesh()?;
                 let text = format!("{}\nmesh fingerprint: {}", case.describe(&mesh), mesh.fingerprint());
                 writeln!(io::stdout(), "{text}").map_err(CliError::Output)?;
-                let model = &case.document.model;
-                if !model.units.is_empty() || !model.connections.is_empty() {
-                    let temporary = pack::temporary("fmus-")?;
-                    let paths = run::fmus(&case.document, &mesh, temporary.path())?;
-                    run::open(&paths, &case.document, &mesh)?;
-                }
+                // Units know best what they refuse.
+                let temporary = pack::temporary("fmus-")?;
+                let paths = run::fmus(&case.document, &mesh, temporary.path())?;
+                run::open(&paths, &case.document, &mesh)?;
             }
             Self::Pack { model, output, ssp } => {
                 let case = model.load()?;
