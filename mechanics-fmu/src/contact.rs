@@ -266,3 +266,38 @@ impl Face {
         law
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each law broken by itself, and by how much: tractions in units of 1e6 Pa, β = 1e8 Pa/m.
+    #[test]
+    fn the_violation_tells_how_far_each_law_is_broken() {
+        let law = FractureLaw::coulomb(0.5, 1e-4);
+        let face = Face::new(&law, 0.5, 1e10, 0.01, 1e-4);
+        let previous = [0.0, 0.01, -0.02];
+        let shear = 0.34_f64.sqrt();
+        let across = 0.5 / 0.26_f64.sqrt();
+        use ContactState::{Open, Slip, Stick};
+        let cases = [
+            ("stuck", [0.0; 3], [1.0, 0.3, 0.1], 0.0, Stick),
+            ("slipping along the traction", [0.0, 3e-3, 4e-3], [1.0, 0.3, 0.4], 0.0, Slip),
+            ("open", [-1e-3, 2e-3, 1e-3], [0.0; 3], 0.0, Open),
+            ("penetrating", [1e-3, 0.0, 0.0], [1.0, 0.1, 0.0], 0.1, Stick),
+            ("pulled", [0.0; 3], [-0.2, 0.0, 0.0], 0.2, Open),
+            ("open and sheared", [-1e-2, 0.0, 0.0], [0.0, 0.0, 0.3], 0.3, Open),
+            ("sheared beyond the bound", [0.0; 3], [1.0, 0.3, 0.5], 0.5 * (1.0 - 0.5 / shear), Slip),
+            ("slipping below the bound", [0.0, 0.0, -1e-3], [1.0, 0.1, -0.1], 0.1, Stick),
+            ("slipping across the traction", [0.0, 0.0, 1e-3], [1.0, 0.5, 0.0], across * 0.1, Slip),
+            ("slipping against the traction", [0.0, -2e-2, 0.0], [1.0, 0.5, 0.0], 1.0, Slip),
+        ];
+        for (what, slip, lambda, wanted, state) in cases {
+            let jump: Local = std::array::from_fn(|c| slip[c] + previous[c]);
+            let lambda = lambda.map(|l| 1e6 * l);
+            let found = face.violation(&jump, &lambda, &previous);
+            assert!((found - 1e6 * wanted).abs() < 1.0, "{what}: {found}");
+            assert_eq!(face.state(&jump, &lambda, &previous), state, "{what}");
+        }
+    }
+}

@@ -180,7 +180,8 @@ fn the_response_is_the_derivative() {
                 let at = format!("{family}, {name}, following: {follows}");
                 let (mut mechanics, mut partner) = sheared(family, &law, 3.0, Bubbles::TwoSided);
                 let rest = mechanics.rest(0.0);
-                let (before, _) = step(&mut mechanics, &rest, 1.0, &partner);
+                let (mut before, _) = step(&mut mechanics, &rest, 1.0, &partner);
+                mechanics.make_initial(&mut before);
                 if follows {
                     partner.response = Some(follow(&mechanics, 1.5e-4));
                 }

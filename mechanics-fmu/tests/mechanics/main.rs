@@ -1,8 +1,10 @@
 //! Tests of the mechanics, in one program.
 
+mod boundary;
 mod common;
 mod contact;
 mod coupling;
+mod history;
 mod input;
 mod invariance;
 mod operators;

@@ -84,6 +84,10 @@ fn press(name: &str, mesh: &Arc<Mesh>, bubbles: Bubbles, law: &FractureLaw) {
         let found = if d == 2 { Vec3::new(s[3], s[1], 0.0) } else { Vec3::new(s[5], s[4], s[2]) };
         assert!(found.distance(wanted) <= ROUND_OFF * load * 100.0, "{name}: stress {found}, not {wanted}");
     }
+    for (found, &center) in mechanics.cell_displacement(&state).into_iter().zip(&mesh.geometry().cell_center) {
+        let wanted = linear(d, center);
+        assert!(found.distance(wanted) <= ROUND_OFF * size, "{name}: mean displacement {found}, not {wanted}");
+    }
     let porosity = biot * (0..d).map(|c| GRADIENT[c][c]).sum::<f64>();
     let error = largest(mechanics.porosity_change(&state).into_iter().map(|v| v - porosity));
     assert!(error <= ROUND_OFF * 1e-3 * 100.0, "{name}: porosity change off by {error}");

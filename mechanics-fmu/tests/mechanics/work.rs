@@ -1,7 +1,10 @@
 //! How much work a step takes: numbers that do not depend on the machine.
 
-use mechanics_fmu::{Bubbles, ContactState, Partner};
+use std::sync::Arc;
+
+use mechanics_fmu::{Bubbles, ContactState, Neumann, Partner};
 use mesh::Vec3;
+use mesh::generate::cartesian;
 
 use crate::common::{coulomb, fractured, hold, mesh, model, start, step};
 
@@ -38,4 +41,25 @@ fn a_newton_iteration_takes_few_linear_ones_and_no_factorisation() {
         let (_, report) = step(&mut mechanics, &state, 6.0, &partner);
         assert!(report.newton.iterations <= 1, "{:?}", report.newton);
     }
+}
+
+/// A block that nothing but a fracture holds: there is no inverse of its stiffness, and the linearised laws are factorised.
+#[test]
+fn a_loose_block_takes_one_factorisation_on_the_fracture_an_iteration() {
+    let mut data = cartesian(Vec3::ZERO, Vec3::ONE, [6, 6, 2]);
+    data.mark_fracture("flat", |x| x.z == 0.5);
+    let mesh = mesh(data);
+    let mut model = model(&mesh, &coulomb(0.6, 0.0));
+    hold(&mut model, 3, &["bottom"], |_, _| Vec3::ZERO);
+    // Pressed most at one corner, so that the others slip.
+    let traction = |x: Vec3, _| 1e6 * Vec3::new(0.3 + 0.4 * (x.x - 0.5), 0.2, -0.5 - x.x * x.y);
+    model.neumann.push(Neumann { tag: "top".into(), traction: Arc::new(traction) });
+    let mut mechanics = start(&mesh, model);
+    let rest = mechanics.rest(0.0);
+    let (state, report) = step(&mut mechanics, &rest, 1.0, &Partner::uniform(&mesh, 0.0));
+    let newton = report.newton;
+    let seen = [ContactState::Open, ContactState::Stick, ContactState::Slip].map(|wanted| state.count(wanted));
+    assert!(seen.iter().all(|&n| n > 3), "{seen:?}");
+    assert_eq!(newton.face_factorisations, newton.iterations, "{newton:?}");
+    assert!(newton.linear_iterations <= 3 * newton.iterations, "{newton:?}");
 }

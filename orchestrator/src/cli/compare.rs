@@ -205,7 +205,8 @@ pub(crate) fn run(folder: &Path, units: &Path, arrays: bool) -> Result<(), CliEr
     });
     let document = Document::load(folder, &[], &[])?;
     let file = units.join(MESH);
-    let mesh = Mesh::new(mesh_io::read_hdf5(&file)?).map_err(ModelError::from)?;
+    let unsound = |error| ModelError::Mesh { place: file.display().to_string(), error };
+    let mesh = Mesh::new(mesh_io::read_hdf5(&file)?).map_err(unsound)?;
     let file = units.join(FMUS);
     let text = fs::read_to_string(&file).map_err(CliError::file(&file))?;
     let paths: Fmus = serde_json::from_str(&text)
