@@ -3,7 +3,8 @@
 //! Physical groups give the names: those of dimension d name regions; those of dimension d − 1 name boundary tags where
 //! their faces lie on the outer boundary, and fractures where they lie inside. A group without a name is called
 //! by its number; cells without a group are region `rock`. Of several groups on one entity the first counts.
-//! Only straight elements are read: triangles, quadrilaterals, tetrahedra, hexahedra, prisms and pyramids.
+//! Only straight elements are read: triangles, quadrilaterals, tetrahedra, hexahedra, prisms and pyramids; of partitioned
+//! meshes none.
 //!
 //! The crate `mshio` is not used: it takes nodes with gapless numbers as lying in the order of their numbers,
 //! which Gmsh does not promise, skips the names of groups, and panics on some damaged files.
@@ -19,6 +20,9 @@ use crate::FileError;
 type Names = FxHashMap<(i32, i32), String>;
 /// A section, and what is wrong with it.
 type Problem = (&'static str, String);
+
+/// What [`Shape::of`] knows.
+const KINDS: &str = "points, lines, triangles, quadrilaterals, tetrahedra, hexahedra, prisms and pyramids";
 
 /// Reads a mesh. Nodes that no cell uses are left out.
 ///
@@ -126,13 +130,18 @@ struct Content {
 
 fn read(bytes: &[u8], binary: bool) -> Result<Content, Problem> {
     const NAMES: &str = "$PhysicalNames";
-    let has_names = bytes.windows(NAMES.len()).any(|window| window == NAMES.as_bytes());
-    let names = if has_names { physical_names(section(bytes, NAMES)?)? } else { Names::default() };
+    let has = |name: &str| bytes.windows(name.len()).any(|window| window == name.as_bytes());
+    let names = if has(NAMES) { physical_names(section(bytes, NAMES)?)? } else { Names::default() };
     let numbers = |name| section(bytes, name).map(|rest| Numbers { name, rest, binary });
 
+    if has("$PartitionedEntities") {
+        // Its elements lie on other entities than those that have groups.
+        return Err(("$PartitionedEntities", "partitioned meshes are not read; unite the partitions".into()));
+    }
     // Without this section there are no groups.
     let mut groups = FxHashMap::default();
-    if let Ok(mut file) = numbers("$Entities") {
+    if has("$Entities") {
+        let mut file = numbers("$Entities")?;
         let counts = [file.count()?, file.count()?, file.count()?, file.count()?];
         for (dimension, count) in (0..).zip(counts) {
             for _ in 0..count {
@@ -174,7 +183,7 @@ fn read(bytes: &[u8], binary: bool) -> Result<Content, Problem> {
     let mut blocks = Vec::new();
     for _ in 0..count {
         let (dimension, entity, kind) = (file.int()?, file.int()?, file.int()?);
-        let unknown = || (file.name, format!("elements of type {kind} are not read, only straight ones"));
+        let unknown = || (file.name, format!("elements of type {kind} are not read; {KINDS} are, of order 1"));
         let shape = Shape::of(kind).ok_or_else(unknown)?;
         let mut elements = Vec::new();
         for _ in 0..file.count()? {

@@ -19,6 +19,7 @@
 
 use std::path::Path;
 
+use hdf5_metno::types::TypeDescriptor;
 use hdf5_metno::{Dataset, File, Group, H5Type, Result as Hdf5Result};
 use mesh::{Lists, MeshData, Vec3};
 
@@ -111,9 +112,10 @@ pub fn read_hdf5(path: impl AsRef<Path>) -> Result<MeshData, FileError> {
     if version != VERSION {
         return Err(FileError::Version { path: path.into(), found: version.to_string(), supported: "1" });
     }
-    let coordinates: Vec<f64> = reader.values("vertices")?;
-    if !coordinates.len().is_multiple_of(3) {
-        return Err(FileError::content(path, "vertices", "there must be three coordinates for each vertex"));
+    let (shape, coordinates): (_, Vec<f64>) = reader.shaped("vertices")?;
+    if !coordinates.is_empty() && !matches!(shape[..], [_, 3]) {
+        let problem = format!("its extent is {shape:?}; it must be [vertices, 3]");
+        return Err(FileError::content(path, "vertices", problem));
     }
     Ok(MeshData {
         dim: reader.attribute("dimension")? as usize,
@@ -147,14 +149,32 @@ impl Reader<'_> {
     }
 
     fn values<T: H5Type>(&self, entry: &str) -> Result<Vec<T>, FileError> {
-        let read = |dataset: Dataset| -> Result<Vec<T>, FileError> {
-            // Nothing is compressed: a dataset that claims to be larger than the file is damaged.
-            let shape = dataset.get_shape().map_err(|source| hdf5_error(self.path, entry, source))?;
+        Ok(self.shaped(entry)?.1)
+    }
+
+    /// The extent of a dataset, and its values.
+    fn shaped<T: H5Type>(&self, entry: &str) -> Result<(Vec<usize>, Vec<T>), FileError> {
+        let read = |dataset: Dataset| -> Result<(Vec<usize>, Vec<T>), FileError> {
+            let failed = |source| hdf5_error(self.path, entry, source);
+            let found = dataset.dtype().and_then(|kind| kind.to_descriptor()).map_err(failed)?;
+            let wanted = T::type_descriptor();
+            let is_whole =
+                |kind: &TypeDescriptor| matches!(kind, TypeDescriptor::Integer(_) | TypeDescriptor::Unsigned(_));
+            // The library would cut off fractions without a word.
+            if !(is_whole(&found) || (matches!(found, TypeDescriptor::Float(_)) && !is_whole(&wanted))) {
+                return Err(FileError::content(self.path, entry, format!("its type is {found}; it must be {wanted}")));
+            }
+            let shape = dataset.get_shape().map_err(failed)?;
+            // Damage must not ask for all of the memory; compression that halves the size three times is allowed.
             let bytes = shape.iter().try_fold(size_of::<T>() as u64, |n, &extent| n.checked_mul(extent as u64));
             if bytes.is_none_or(|bytes| bytes > self.size.saturating_mul(8)) {
-                return Err(FileError::content(self.path, entry, format!("its extent {shape:?} exceeds the file")));
+                return Err(FileError::content(
+                    self.path,
+                    entry,
+                    format!("its extent {shape:?} exceeds 8 times the file"),
+                ));
             }
-            dataset.read_raw().map_err(|source| hdf5_error(self.path, entry, source))
+            Ok((shape, dataset.read_raw().map_err(failed)?))
         };
         self.file.dataset(entry).map_err(|source| hdf5_error(self.path, entry, source)).and_then(read)
     }

@@ -120,7 +120,16 @@ fn damaged_files_are_refused() {
     about(problem(text.replace(line, &format!("99999999{line}"))), "$Elements", "exceeds");
     // Second order.
     let block = text.lines().find(|l| l.starts_with("2 1 2 ")).unwrap();
-    about(problem(text.replace(block, &block.replacen("2 1 2", "2 1 9", 1))), "$Elements", "type 9");
+    about(
+        problem(text.replace(block, &block.replacen("2 1 2", "2 1 9", 1))),
+        "$Elements",
+        "type 9 are not read; points, lines",
+    );
+    // Groups that cannot be read are not taken for none.
+    about(problem(text.replace("$EndEntities", "$EndOfEntities")), "$Entities", "no end");
+    let partitioned =
+        text.replace("$EndEntities\n", "$EndEntities\n$PartitionedEntities\n2\n$EndPartitionedEntities\n");
+    about(problem(partitioned), "$PartitionedEntities", "unite");
 }
 
 #[test]

@@ -114,6 +114,27 @@ fn errors_name_file_and_entry() {
         }),
         &["vertices", "exceeds"],
     );
+    // What the library would turn into something else.
+    has(
+        message(|file| {
+            file.unlink("vertices").unwrap();
+            file.new_dataset::<f64>().shape([30, 2]).create("vertices").unwrap();
+        }),
+        &["vertices", "its extent is [30, 2]; it must be [vertices, 3]"],
+    );
+    has(
+        message(|file| {
+            let values: Vec<f64> = offsets(file).iter().map(|&i| i as f64 + 0.3).collect();
+            file.unlink("faces/offsets").unwrap();
+            file.new_dataset::<f64>()
+                .shape([values.len()])
+                .create("faces/offsets")
+                .unwrap()
+                .write_raw(&values)
+                .unwrap();
+        }),
+        &["faces/offsets", "its type is float64; it must be int64"],
+    );
 }
 
 #[test]

@@ -157,7 +157,8 @@ fn check_faces(data: &MeshData, problems: &mut Vec<Problem>) {
         hashes.push((hasher.finish(), face));
         let measure = face_vector(&data.vertices, list).length();
         let diameter = diameter(&data.vertices, list);
-        if !is_sound(measure, diameter, data.dim - 1) {
+        let finite = list.iter().all(|&v| data.vertices[v].is_finite());
+        if finite && !is_sound(measure, diameter, data.dim - 1) {
             problems.push(Problem::DegenerateFace { face, measure, diameter });
         }
     }

@@ -66,7 +66,8 @@ fn lengths_indices_and_names() {
 
 #[test]
 fn vertices() {
-    assert_has!(problems(squares(), |d| d.vertices[4].x = f64::NAN), Problem::Coordinate { vertex: 4, .. });
+    // Once, and not again for what touches it.
+    assert!(matches!(problems(squares(), |d| d.vertices[4].x = f64::NAN)[..], [Problem::Coordinate { vertex: 4, .. }]));
     assert_has!(problems(squares(), |d| d.vertices[4].z = 0.1), Problem::Coordinate { vertex: 4, .. });
     assert_has!(
         problems(squares(), |d| d.vertices.push(Vec3::splat(7.0).with_z(0.0))),

@@ -89,11 +89,11 @@ pub enum ModelError {
         error: mesh::MeshError,
     },
     /// The reader of mesh files refused.
-    #[error("the mesh {} cannot be read: {reason}", path.display())]
+    #[error("the mesh cannot be read: {reason}")]
     MeshFile {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The file and why.
         reason: String,
     },
 }

@@ -10,7 +10,7 @@ use crate::document::Document;
 use crate::expression::{Function, Point, Scope};
 use crate::{Cells, CornerPoint, Extrude, MeshSource, ModelError, Value};
 
-/// Reads a mesh file; with the second argument, a corner-point grid.
+/// Reads a mesh file; with the second argument, a corner-point grid. What goes wrong begins with the file's name.
 pub type ReadMesh<'a> = &'a dyn Fn(&Path, Option<&CornerPoint>) -> Result<MeshData, String>;
 
 impl Document {

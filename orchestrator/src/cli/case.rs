@@ -66,14 +66,14 @@ impl Case {
         let network = mesh.network();
         let units = self.document.model.unit_names();
         format!(
-            "{}\n{}D, {} cells, {} faces, {} vertices; {}, {} fracture faces\nunits: {}",
+            "{}\n{}D, {}, {} faces, {} vertices; {}, {}\nunits: {}",
             self.document.model.title,
             mesh.dim(),
-            mesh.cell_count(),
+            counted(mesh.cell_count(), "cell"),
             mesh.face_count(),
             mesh.vertices().len(),
             counted(mesh.data().fractures.len(), "fracture"),
-            network.face_count(),
+            counted(network.face_count(), "fracture face"),
             if units.is_empty() { "none".to_owned() } else { units.join(", ") },
         )
     }
