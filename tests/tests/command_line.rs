@@ -174,6 +174,11 @@ fn everything_that_is_wrong_with_a_model_is_said_at_once() {
     assert!(text.contains("h0.01"), "{text}");
     let text = fail(&["check", "six-fracture"], 2);
     assert!(text.contains("six-fracture/model.toml") && text.contains("models/six-fracture/model.toml"), "{text}");
+    // What only the units find.
+    let text = fail(&["check", "models/six-fractures", "--set", "mechanics.displacement=[]"], 1);
+    assert!(text.contains("pack-mechanics") && text.contains("leave 3 of 3 rigid motions free"), "{text}");
+    let text = fail(&["run", "models/six-fractures", "--output", "nowhere", "--set", "time.step=1e-30"], 2);
+    assert!(text.contains("time.step: 1e-30 s is too small") && text.contains("at least 2.000e-4 s"), "{text}");
     let unknown = "connections=[{from=\"mechanics.aperture.mean\", to=\"light.aperture\"}]";
     let text = fail(&["check", "models/six-fractures", "--set", unknown], 2);
     assert!(text.contains("light.aperture") && text.contains("flow, mechanics"), "{text}");

@@ -79,7 +79,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Checks a model and its mesh, and reports everything that is wrong
+    /// Checks a model, its mesh and its units, and reports everything that is wrong
     #[command(after_help = CHANGE_EXAMPLES)]
     Check {
         #[command(flatten)]
