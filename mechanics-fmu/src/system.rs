@@ -164,8 +164,6 @@ impl System {
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
         cells.add_stiffness(&mut stiffness)?;
-        let fixed_rows = cells.fixed_rows(&fixed)?;
-        let divergence = cells.divergence()?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap(Stage::Assembly);
@@ -174,6 +172,9 @@ impl System {
         let factorisation = lap(Stage::Factorisation);
         let (schur, inverse) = schur_without_springs(&cholesky, &springs)?;
         let condensation = lap(Stage::Condensation);
+        // After the stages that need most memory.
+        let (fixed_rows, divergence) = (cells.fixed_rows(&fixed)?, cells.divergence()?);
+        let assembly = assembly + clock.elapsed();
         let memory = cholesky.memory();
         let setup = SetupReport {
             analysis,

@@ -12,7 +12,7 @@ use faer::{MatMut, Par};
 use crate::error::{Error, check_len};
 use crate::panels::{Panels, Work};
 use crate::pattern::{Pattern, SparseSymmetric};
-use crate::tiles::{DenseSymmetric, Triangle};
+use crate::tiles::DenseSymmetric;
 
 /// Largest scaled residual ‖Ax − b‖ / (‖A‖ ‖x‖ + ‖b‖), in maximum norms, of the test solve after a
 /// factorisation. Cholesky is backward stable, so a sound factor leaves some 1e-16 to 1e-15
@@ -356,16 +356,12 @@ impl Cholesky {
     /// multiplications; while S⁻¹ and then S are made, L22 gives way to them, m²/2 numbers of single precision.
     ///
     /// # Errors
-    /// [`Error::NotFactorised`].
+    /// [`Error::NotFactorised`], [`Error::OutOfMemory`].
     pub fn schur(&self) -> Result<(DenseSymmetric, DenseSymmetric), Error> {
         self.check(self.len())?;
-        let lower = || {
-            let mut lower = Triangle::identity_border(self.symbolic.pattern.trailing());
-            self.symbolic.panels.trailing_factor(&self.factor, &mut lower);
-            lower
-        };
-        let inverse = lower().inverse();
-        Ok((lower().square(), inverse))
+        let lower = || self.symbolic.panels.trailing_factor(&self.factor);
+        let inverse = lower()?.inverse()?;
+        Ok((lower()?.square(), inverse))
     }
 
     /// y += S x in double precision, with the Schur complement S as the factor holds it: reads m²/2 numbers.

@@ -16,6 +16,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
+use crate::error::Error;
 use crate::tiles::Triangle;
 
 /// Multiplications per update of one panel by another from which faer's parallel kernels pay:
@@ -84,6 +85,8 @@ pub(crate) struct Panels {
     cut_rows: Vec<u32>,
     /// Panels before this one eliminate the leading unknowns.
     leading: usize,
+    /// Number of leading unknowns, and of all.
+    split: usize,
     len: usize,
     subtrees: Vec<Subtree>,
     /// Unknowns outside the subtrees, and the place of each such unknown in this list.
@@ -145,6 +148,7 @@ impl Panels {
             panels,
             cut_rows,
             leading,
+            split,
             len,
             subtrees: Vec::new(),
             top: Vec::new(),
@@ -433,24 +437,24 @@ impl Panels {
         }
     }
 
-    /// Writes the factor of the trailing unknowns, L22, to a lower triangle that is zero on entry.
-    pub(crate) fn trailing_factor(&self, factor: &[f64], lower: &mut Triangle) {
-        let split = self.len - lower.len();
-        for (column, top, below, rows) in self.trailing_columns(factor, split) {
+    /// The factor of the trailing unknowns, L22.
+    pub(crate) fn trailing_factor(&self, factor: &[f64]) -> Result<Triangle, Error> {
+        let mut lower = Triangle::identity_border(self.len - self.split)?;
+        for (column, top, below, rows) in self.trailing_columns(factor) {
             for (i, &v) in top.iter().enumerate() {
                 lower.set(column + i, column, v as f32);
             }
             for (&row, &v) in rows.iter().zip(below) {
-                lower.set(row as usize - split, column, v as f32);
+                lower.set(row as usize - self.split, column, v as f32);
             }
         }
+        Ok(lower)
     }
 
     /// y += L22 L22ᵀ x, reading the factor once. Threads share the columns, in parts that the factor alone decides.
     pub(crate) fn trailing_product(&self, factor: &[f64], x: &[f64], y: &mut [f64]) {
         const PARTS: usize = 8;
-        let m = x.len();
-        let split = self.len - m;
+        let (m, split) = (x.len(), self.split);
         let parts = if m * m / 2 > PARALLEL_ENTRIES { PARTS } else { 1 };
         // Of about equal area.
         let cut = |p: usize| (m as f64 * (1.0 - (1.0 - p as f64 / parts as f64).sqrt())).round() as usize;
@@ -458,7 +462,7 @@ impl Panels {
             .into_par_iter()
             .map(|p| {
                 let mut sum = vec![0.0; m];
-                let columns = self.trailing_columns(factor, split).take(cut(p + 1)).skip(cut(p));
+                let columns = self.trailing_columns(factor).take(cut(p + 1)).skip(cut(p));
                 pulp::Arch::new().dispatch(ColumnProducts { columns, split, x, sum: &mut sum });
                 sum
             })
@@ -473,12 +477,11 @@ impl Panels {
     fn trailing_columns<'a>(
         &'a self,
         factor: &'a [f64],
-        split: usize,
     ) -> impl Iterator<Item = (usize, &'a [f64], &'a [f64], &'a [u32])> {
         self.panels[self.leading..].iter().flat_map(move |panel| {
             (0..panel.cols).map(move |j| {
                 let (top, below) = panel.column(factor, j).split_at(panel.cols - j);
-                (panel.start + j - split, top, below, self.rows(panel))
+                (panel.start + j - self.split, top, below, self.rows(panel))
             })
         })
     }

@@ -8,13 +8,17 @@
 //! each row of the result is packed as soon as it is known. The work is cut by the size of the matrix alone, so results do not
 //! depend on the number of threads.
 
+use std::collections::VecDeque;
 use std::ops::Range;
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
+use memmap2::MmapMut;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
+
+use crate::error::Error;
 
 /// Rows of a tile: three fit into a cache of the second level.
 const TILE: usize = 128;
@@ -58,17 +62,14 @@ enum Tile {
 impl DenseSymmetric {
     /// The symmetric matrix with `entry(i, j)` for i ≥ j.
     pub fn from_fn(len: usize, entry: impl Fn(usize, usize) -> f32) -> Self {
-        let mut lower = Triangle::identity_border(len);
-        for i in 0..len {
-            for j in 0..=i {
-                let value = entry(i, j);
-                lower.set(i, j, value);
-                lower.set(j, i, value);
-            }
-        }
         let mut result = Self::with_capacity(len, [true, false]);
-        lower.rows.iter().enumerate().for_each(|(i, row)| result.set_row(i, row, 0.0));
-        result.shrink();
+        let t = result.tile;
+        let padded = |i: usize, j: usize| if i < len { entry(i, j) } else { f32::from(i == j) };
+        for i in 0..len.div_ceil(t) {
+            let places = (0..=i).flat_map(|j| (0..t * t).map(move |k| (i * t + k % t, j * t + k / t)));
+            let row: Vec<f32> = places.map(|(i, j)| padded(i.max(j), i.min(j))).collect();
+            result.set_row(i, &row, 0.0);
+        }
         result
     }
 
@@ -178,35 +179,49 @@ fn first(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
+/// A row of tiles in memory of its own, which goes back to the system at once when the row is done with.
+#[derive(Debug)]
+struct Row(MmapMut);
+
+impl Row {
+    fn zeros(len: usize) -> Result<Self, Error> {
+        MmapMut::map_anon(len * size_of::<f32>()).map(Self).map_err(|_| Error::OutOfMemory)
+    }
+
+    fn values(&self) -> &[f32] {
+        bytemuck::cast_slice(&self.0)
+    }
+
+    fn values_mut(&mut self) -> &mut [f32] {
+        bytemuck::cast_slice_mut(&mut self.0)
+    }
+}
+
 /// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. The last row and column of
 /// tiles are filled up with the identity.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Triangle {
     len: usize,
     tile: usize,
-    rows: Vec<Vec<f32>>,
+    rows: VecDeque<Row>,
 }
 
 impl Triangle {
     /// To be filled by [`set`](Self::set).
-    pub(crate) fn identity_border(len: usize) -> Self {
+    pub(crate) fn identity_border(len: usize) -> Result<Self, Error> {
         let tile = tile_rows(len);
         let rows = len.div_ceil(tile);
-        let mut result = Self { len, tile, rows: (0..rows).map(|i| vec![0.0; (i + 1) * tile * tile]).collect() };
+        let zeros = |i| Row::zeros((i + 1) * tile * tile);
+        let mut result = Self { len, tile, rows: (0..rows).map(zeros).collect::<Result<_, _>>()? };
         (len..rows * tile).for_each(|i| result.set(i, i, 1.0));
-        result
-    }
-
-    /// Number of rows and columns.
-    pub(crate) fn len(&self) -> usize {
-        self.len
+        Ok(result)
     }
 
     /// Sets an entry with `i` ≥ `j`, or any entry of a tile on the diagonal.
     pub(crate) fn set(&mut self, i: usize, j: usize, value: f32) {
         let t = self.tile;
         if i / t >= j / t {
-            self.rows[i / t][j / t * t * t + j % t * t + i % t] = value;
+            self.rows[i / t].values_mut()[j / t * t * t + j % t * t + i % t] = value;
         }
     }
 
@@ -214,17 +229,19 @@ impl Triangle {
     pub(crate) fn square(mut self) -> DenseSymmetric {
         let (t, size) = (self.tile, self.tile * self.tile);
         let diagonal =
-            (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
+            (0..self.len).map(|i| self.rows[i / t].values().iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
         let limit = SMALL * diagonal.fold(0.0, f32::max);
         let mut result = DenseSymmetric::with_capacity(self.len, [true, true]);
+        let mut row = Vec::new();
         // Row i of L Lᵀ needs the rows up to i of L: from the last on, L makes room for it.
-        for i in (0..self.rows.len()).rev() {
-            let own = std::mem::take(&mut self.rows[i]);
-            let mut row = vec![0.0; own.len()];
+        while let Some(own) = self.rows.pop_back() {
+            let i = self.rows.len();
+            row.clear();
+            row.resize((i + 1) * size, 0.0);
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
-                let other = if j == i { &own } else { &self.rows[j] };
-                for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
+                let other = self.rows.get(j).unwrap_or(&own);
+                for (a, b) in own.values().chunks_exact(size).zip(other.values().chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
@@ -236,20 +253,20 @@ impl Triangle {
     }
 
     /// L becomes L⁻¹.
-    fn invert_triangle(&mut self) {
+    fn invert_triangle(&mut self) -> Result<(), Error> {
         let (t, size) = (self.tile, self.tile * self.tile);
         for i in 0..self.rows.len() {
             // Row i of L⁻¹ needs that of L and the earlier ones of L⁻¹.
-            let own = std::mem::take(&mut self.rows[i]);
-            let mut row = vec![0.0; own.len()];
+            let own = self.rows[i].values();
+            let mut row = Row::zeros(own.len())?;
             let diagonal = view(&own[i * size..]);
-            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
+            row.values_mut().par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
                 if j == i {
                     out.copy_from(Mat::<f32>::identity(t, t));
                 } else {
                     for k in j..i {
-                        let (a, b) = (&own[k * size..][..size], &self.rows[k][j * size..][..size]);
+                        let (a, b) = (&own[k * size..][..size], &self.rows[k].values()[j * size..][..size]);
                         matmul(out.as_mut(), Accum::Add, view(a), view(b), -1.0, Par::Seq);
                     }
                 }
@@ -257,29 +274,31 @@ impl Triangle {
             });
             self.rows[i] = row;
         }
+        Ok(())
     }
 
-    /// (L Lᵀ)⁻¹, L being this triangle, packed.
-    pub(crate) fn inverse(mut self) -> DenseSymmetric {
-        self.invert_triangle();
+    /// (L Lᵀ)⁻¹, L being this triangle.
+    pub(crate) fn inverse(mut self) -> Result<DenseSymmetric, Error> {
+        self.invert_triangle()?;
         let size = self.tile * self.tile;
         let mut result = DenseSymmetric::with_capacity(self.len, [false, true]);
-        for i in 0..self.rows.len() {
-            // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N.
-            let own = std::mem::take(&mut self.rows[i]);
-            let mut row = vec![0.0; own.len()];
+        let (mut row, mut i) = (Vec::new(), 0);
+        // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N, which makes room for it.
+        while let Some(own) = self.rows.pop_front() {
+            row.clear();
+            row.resize((i + 1) * size, 0.0);
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
-                for k in i..self.rows.len() {
-                    let row = if k == i { &own } else { &self.rows[k] };
-                    let (a, b) = (&row[i * size..][..size], &row[j * size..][..size]);
+                for factor in std::iter::once(&own).chain(&self.rows) {
+                    let [a, b] = [i, j].map(|column| &factor.values()[column * size..][..size]);
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
             drop(own);
             result.set_row(i, &row, f32::INFINITY);
+            i += 1;
         }
-        result
+        Ok(result)
     }
 }
 
@@ -408,14 +427,17 @@ mod tests {
     use super::*;
 
     /// A diagonally dominant matrix of several tiles, its factor, and a vector.
-    fn example(n: usize) -> (Mat<f64>, Triangle, Vec<f32>) {
+    fn example(n: usize) -> (Mat<f64>, impl Fn() -> Triangle, Vec<f32>) {
         let a = Mat::from_fn(n, n, |i, j| {
             let distance = i.abs_diff(j) as f64;
             if i == j { 4.0 } else { ((i + j) as f64).sin() / (1.0 + distance * distance) }
         });
         let llt = a.llt(faer::Side::Lower).unwrap();
-        let mut factor = Triangle::identity_border(n);
-        (0..n).for_each(|j| (j..n).for_each(|i| factor.set(i, j, llt.L()[(i, j)] as f32)));
+        let factor = move || {
+            let mut factor = Triangle::identity_border(n).unwrap();
+            (0..n).for_each(|j| (j..n).for_each(|i| factor.set(i, j, llt.L()[(i, j)] as f32)));
+            factor
+        };
         (a, factor, (0..n).map(|i| (0.7 * i as f32).cos()).collect())
     }
 
@@ -423,7 +445,7 @@ mod tests {
     fn from_a_factor_to_the_matrix_and_its_inverse() {
         for n in [1, 3, 5, TILE, 2 * TILE + 37, 11 * TILE] {
             let (a, factor, x) = example(n);
-            let (square, inverse) = (factor.clone().square(), factor.inverse());
+            let (square, inverse) = (factor().square(), factor().inverse().unwrap());
             let identity = Mat::<f64>::identity(n, n);
             let exact = a.llt(faer::Side::Lower).unwrap().solve(&identity);
             for (matrix, exact) in [(&square, &a), (&inverse, &exact)] {
@@ -445,7 +467,7 @@ mod tests {
     #[test]
     fn products_do_not_depend_on_threads_and_skip_zeros() {
         let (_, factor, mut x) = example(11 * TILE);
-        let s = factor.square();
+        let s = factor().square();
         x[..7 * TILE].fill(0.0);
         let products = [1, 2, 3].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
