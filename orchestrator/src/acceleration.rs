@@ -33,9 +33,9 @@ pub(crate) struct Accelerator {
 
 /// x and r, or a change of both.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Difference {
-    x: Vec<f64>,
-    r: Vec<f64>,
+pub(crate) struct Difference {
+    pub(crate) x: Vec<f64>,
+    pub(crate) r: Vec<f64>,
 }
 
 impl Accelerator {
@@ -97,9 +97,24 @@ impl Accelerator {
 
     fn quasi_newton(&self, x: &mut [f64], r: &[f64], mixing: f64, dot: impl Fn(&[f64], &[f64]) -> f64) {
         let columns = self.differences.iter().chain(self.earlier.iter().flatten());
+        let rest = Difference { x: x.to_vec(), r: r.to_vec() }.least(columns, dot);
+        for (x, (a, b)) in x.iter_mut().zip(rest.x.iter().zip(&rest.r)) {
+            *x = a + mixing * b;
+        }
+    }
+}
+
+impl Difference {
+    /// x and r with the multiple of each column added that makes r the least in the norm of `dot`. Columns that are all but combinations
+    /// of those before them, or of another length, are left out.
+    pub(crate) fn least<'a>(
+        mut self,
+        columns: impl Iterator<Item = &'a Self>,
+        dot: impl Fn(&[f64], &[f64]) -> f64,
+    ) -> Self {
         // Modified Gram-Schmidt; what each direction does to x and r goes along.
-        let mut basis: Vec<Difference> = Vec::new();
-        for column in columns.filter(|c| c.r.len() == r.len()) {
+        let mut basis: Vec<Self> = Vec::new();
+        for column in columns.filter(|c| c.r.len() == self.r.len()) {
             let mut rest = column.clone();
             let length = dot(&rest.r, &rest.r).sqrt();
             for q in &basis {
@@ -111,17 +126,12 @@ impl Accelerator {
                 basis.push(rest);
             }
         }
-        let mut rest = Difference { x: x.to_vec(), r: r.to_vec() };
         for q in &basis {
-            rest.subtract(dot(&q.r, &rest.r), q);
+            self.subtract(dot(&q.r, &self.r), q);
         }
-        for (x, (a, b)) in x.iter_mut().zip(rest.x.iter().zip(&rest.r)) {
-            *x = a + mixing * b;
-        }
+        self
     }
-}
 
-impl Difference {
     fn subtract(&mut self, factor: f64, other: &Self) {
         self.x.iter_mut().zip(&other.x).for_each(|(a, b)| *a -= factor * b);
         self.r.iter_mut().zip(&other.r).for_each(|(a, b)| *a -= factor * b);

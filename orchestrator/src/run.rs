@@ -375,11 +375,13 @@ impl Run {
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             record.residuals = self.residuals(&residual);
             let ratio = record.ratio();
-            let weight = |f: usize| 1.0 / self.scale(f) / (fields[f].len() as f64).sqrt();
             let newton = matches!(acceleration, Acceleration::NewtonKrylov { .. });
-            let error = estimate.see(&fields, &residual, &accelerated, &weight, newton);
-            let errors = error.map_or_else(Vec::new, |error| self.residuals(&error));
-            let converged = record.residuals.iter().chain(&errors).all(FieldResidual::holds);
+            estimate.see(&fields, &residual, newton);
+            let converged = record.residuals.iter().all(FieldResidual::holds) && {
+                let weight = |f: usize| 1.0 / self.scale(f) / (fields[f].len() as f64).sqrt();
+                let error = estimate.error(&accelerated, &weight, newton);
+                error.is_none_or(|error| self.residuals(&error).iter().all(FieldResidual::holds))
+            };
             watch(end, iteration, &record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
