@@ -17,6 +17,8 @@ import numpy as np
 from mesh import Mesh, read
 from pack import HERE, ROOT, orchestrator
 
+# The same numbers make the same file.
+matplotlib.rcParams["svg.hashsalt"] = "units"
 RESULTS = ROOT / "results" / "units"
 PLOTS = HERE / "plots"
 TIMES = [100 * i for i in range(1, 21)]

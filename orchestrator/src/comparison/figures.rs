@@ -448,11 +448,14 @@ impl Picture<'_> {
         let (cx, x) = self.choice(self.spec.x.as_ref()).unwrap_or((0, &empty));
         let (cy, y) = self.choice(self.spec.y.as_ref()).unwrap_or((0, &empty));
         let (x_axis, y_axis) = (Axis::names(&x.label, &x.options), Axis::names(&y.label, &y.options));
-        let mut keys = vec![
-            Key::new(self.spec.value.label(), ramp(0.4), Mark::Box),
-            Key::new("× diverged or failed", VERMILION, Mark::Box),
-            Key::new("> not in so many", ORANGE, Mark::Box),
-        ];
+        let mut keys = vec![Key::new(self.spec.value.label(), ramp(0.4), Mark::Box)];
+        let ends: Vec<RGBColor> =
+            self.rows.iter().filter(|r| self.spec.value.of(r).is_none()).map(|r| unfinished(r).0).collect();
+        for (label, color) in [("× diverged or failed", VERMILION), ("> not in so many iterations", ORANGE)] {
+            if ends.contains(&color) {
+                keys.push(Key::new(label, color, Mark::Box));
+            }
+        }
         let line = self.line().and_then(|line| Some((place(line.at, &x.numbers()?)?, line)));
         if let Some((_, line)) = line {
             keys.push(Key::new(&line.label, INK, Mark::Dashes));

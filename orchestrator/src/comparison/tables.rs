@@ -213,7 +213,12 @@ pub(crate) fn short(comparison: &Comparison, rows: &[Row<'_>]) -> (Vec<(String, 
     let mut heads = vec![("run".to_owned(), true)];
     heads.extend(varying.iter().map(|&c| (comparison.choices[c].label.clone(), false)));
     heads.push(("outcome".into(), false));
-    heads.extend(["steps", "iterations a step", "most", "contraction"].map(|name| (name.to_owned(), true)));
+    heads.extend(["steps", "iterations a step", "most"].map(|name| (name.to_owned(), true)));
+    let has_derivatives = rows.iter().filter_map(|row| row.measures.as_ref()).any(|m| m.derivatives > 0);
+    if has_derivatives {
+        heads.push(("derivatives a step".into(), true));
+    }
+    heads.push(("contraction".into(), true));
     if !comparison.reference.is_empty() {
         heads.push(("largest error".into(), true));
     }
@@ -226,7 +231,11 @@ pub(crate) fn short(comparison: &Comparison, rows: &[Row<'_>]) -> (Vec<(String, 
             Some(m) => {
                 cells.push(m.time_steps.to_string());
                 cells.push(format!("{:.1}", m.mean));
-                cells.push(m.largest.to_string());
+                // Of time steps that were done.
+                cells.push(if m.time_steps > 0 { m.largest.to_string() } else { String::new() });
+                if has_derivatives {
+                    cells.push(format!("{:.1}", m.derivatives as f64 / m.time_steps.max(1) as f64));
+                }
                 cells.push(worst(&m.contraction).map_or_else(String::new, |v| format!("{v:.3}")));
                 if !comparison.reference.is_empty() {
                     cells.push(worst(&m.errors).map_or_else(String::new, chart::number));

@@ -13,8 +13,12 @@ use super::ResultsError;
 pub(crate) const SCALE: i32 = 4;
 /// Width of all charts as shown: a phone shows them at some 75 %, still readable.
 pub(crate) const WIDTH: i32 = 480;
-/// Room left of a chart, for numbers and label, apart from [`MARGIN`].
+/// Least room left of a chart, for numbers and label, apart from [`MARGIN`].
 const LEFT: i32 = 60;
+/// Room for the label beside the numbers.
+const LABEL: f64 = 30.5;
+/// Width of a letter: sans-serif ones are a bit more than half as wide as high.
+const LETTER: f64 = 7.3;
 /// Room at the left edge, for what different programs make of turned text.
 const MARGIN: i32 = 8;
 /// Room right of a chart: half a number.
@@ -73,8 +77,7 @@ impl Key {
     }
 
     fn width(&self) -> i32 {
-        // Sans-serif letters are a bit more than half as wide as high.
-        28 + (7.3 * self.label.chars().count() as f64) as i32 + 8
+        28 + (LETTER * self.label.chars().count() as f64) as i32 + 8
     }
 }
 
@@ -187,10 +190,13 @@ impl Axis {
         Self { label: label.into(), low, high, ticks: ticks.map(|i| (i as f64, power(i))).collect() }
     }
 
-    /// For decimal logarithms: powers, or where they are few also 2 and 5 times them.
+    /// For decimal logarithms: numbers where all are easy to read, and where they are few also 2 and 5 times them; else powers.
     pub(crate) fn decades(label: impl Into<String>, low: f64, high: f64) -> Self {
         const FEW: f64 = 2.0;
         let mut axis = Self::powers(label, low, high);
+        if low > -3.0 && high < 5.0 {
+            axis.ticks.iter_mut().for_each(|(i, name)| *name = number(10_f64.powf(*i)));
+        }
         if high - low < FEW {
             let all = (low.floor() as i32..=high.floor() as i32).flat_map(|i| [1.0, 2.0, 5.0].map(|m| (m, i)));
             let named = all.map(|(m, i): (f64, i32)| (m.log10() + f64::from(i), number(m * 10_f64.powi(i))));
@@ -208,6 +214,12 @@ impl Axis {
     /// Without numbers.
     pub(crate) fn bare(low: f64, high: f64) -> Self {
         Self { label: String::new(), low, high, ticks: Vec::new() }
+    }
+
+    /// Room (shown) left of a chart with these numbers.
+    fn left(&self) -> i32 {
+        let longest = self.ticks.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0);
+        LEFT.max((LABEL + LETTER * longest as f64).ceil() as i32)
     }
 
     fn name(&self, value: f64) -> String {
@@ -261,7 +273,7 @@ pub(crate) fn axes<'a, 'b>(
         .margin_left(px(MARGIN.into()))
         .margin_right(px((RIGHT + free).into()))
         .x_label_area_size(px(BELOW.into()))
-        .y_label_area_size(px(LEFT.into()))
+        .y_label_area_size(px(y.left().into()))
         .build_cartesian_2d(x.clone(), y.clone())?;
     chart
         .configure_mesh()
@@ -282,7 +294,7 @@ pub(crate) fn axes<'a, 'b>(
 /// Height (shown) of the area, and room on the right, with which axes have the same scale in x and y.
 pub(crate) fn equal_scale(x: &Axis, y: &Axis) -> (i32, i32) {
     const HIGHEST: f64 = 420.0;
-    let width = f64::from(WIDTH - MARGIN - LEFT - RIGHT);
+    let width = f64::from(WIDTH - MARGIN - y.left() - RIGHT);
     let ratio = (y.high - y.low) / (x.high - x.low);
     let height = (width * ratio).min(HIGHEST);
     ((height.round() as i32) + ABOVE + BELOW, (width - height / ratio).round() as i32)
