@@ -234,7 +234,8 @@ pub(crate) fn short(comparison: &Comparison, rows: &[Row<'_>]) -> (Vec<(String, 
                 // Of time steps that were done.
                 cells.push(if m.time_steps > 0 { m.largest.to_string() } else { String::new() });
                 if has_derivatives {
-                    cells.push(format!("{:.1}", m.derivatives as f64 / m.time_steps.max(1) as f64));
+                    let mean = m.derivatives as f64 / m.time_steps.max(1) as f64;
+                    cells.push(if m.derivatives > 0 { format!("{mean:.1}") } else { String::new() });
                 }
                 cells.push(worst(&m.contraction).map_or_else(String::new, |v| format!("{v:.3}")));
                 if !comparison.reference.is_empty() {
