@@ -150,14 +150,14 @@ pub enum Outcome {
     NotConverged(StepReport),
 }
 
-/// A change of the jump and of what follows from it.
+/// A change of the jump and of what follows from it, to first order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Response {
-    /// Porosity change: cells.
+    /// Porosity (1): cells.
     pub porosity_change: Vec<f64>,
     /// Aperture (m): fracture faces.
     pub aperture: Vec<f64>,
-    /// Jump (m): fracture faces × d.
+    /// Jump (m) in the basis of each face: fracture faces × d.
     pub jump: Vec<f64>,
 }
 
@@ -515,7 +515,7 @@ impl Mechanics {
         (self.system.space.first_jump() + face) * self.mesh.dim()
     }
 
-    /// div_K u of each cell.
+    /// div_K u (1) of each cell.
     pub fn divergence(&self, state: &State) -> Vec<f64> {
         let mut div = vec![0.0; self.mesh.cell_count()];
         // The lengths agree by construction of the state.
@@ -523,7 +523,7 @@ impl Mechanics {
         div
     }
 
-    /// b (div u − div u at the initial state) of each cell.
+    /// Porosity change b (div u − div u at the initial state) (1) of each cell.
     pub fn porosity_change(&self, state: &State) -> Vec<f64> {
         let mut div = self.divergence(state);
         for (k, v) in div.iter_mut().enumerate() {
@@ -632,8 +632,10 @@ impl Mechanics {
             .collect()
     }
 
-    /// How jump, aperture and porosity at a state answer to a change of the pressures, at fixed contact states:
-    /// one linearised solve.
+    /// How jump, aperture and porosity at a state answer to a change of the pressures (Pa; matrix: cells, fracture: fracture
+    /// faces), at fixed contact states: the product of the Jacobian with this change, by one linearised solve. Where the
+    /// partner's pressures followed the deformation in the step to this state, they follow here, and the changes are those of
+    /// p_m* and p_f*.
     ///
     /// # Errors
     /// Arrays of the wrong length; a singular contact problem.
@@ -714,7 +716,8 @@ impl Mechanics {
         on_the_pool(|| problem.response(&data, jump, &state.multiplier, &state.contact, change)).map_err(singular)
     }
 
-    /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz); tension is positive.
+    /// Stress σ(u) − b p_m I (Pa) of each cell as (xx, yy, zz, xy, yz, xz), for pressures p_m (Pa) of the cells; tension is
+    /// positive, and 2D is plane strain.
     ///
     /// # Errors
     /// A pressure field of the wrong length.
@@ -735,7 +738,7 @@ impl Mechanics {
             .collect())
     }
 
-    /// ∇^K u of each cell, row i being the gradient of component i.
+    /// ∇^K u (1) of each cell, row i being the gradient of component i; zero in z in 2D.
     pub fn displacement_gradient(&self, state: &State) -> Vec<[Vec3; 3]> {
         let d = self.mesh.dim();
         let space = &self.system.space;

@@ -99,8 +99,8 @@ impl Mesh {
         self.data.cells.len()
     }
 
-    /// The vertices of a face: the two ends (2D), or the polygon, counter-clockwise seen from the side
-    /// its normal points to (3D).
+    /// The vertices of a face: the two ends (2D), the normal pointing to the right on the way from the first to the second, or
+    /// the polygon, counter-clockwise seen from the side its normal points to (3D).
     pub fn face_vertices(&self, face: usize) -> &[usize] {
         self.data.faces.get(face)
     }
@@ -121,7 +121,7 @@ impl Mesh {
         self.cell_vertices.get(cell)
     }
 
-    /// The corners of a cell of a 2D mesh, counter-clockwise.
+    /// The corners of a cell of a 2D mesh, counter-clockwise; without meaning in 3D.
     pub fn cell_polygon(&self, cell: usize) -> Vec<usize> {
         let mut edges: Vec<(usize, usize)> = (self.cell_faces(cell).iter().zip(self.cell_face_signs(cell)))
             .map(|(&face, &sign)| {

@@ -77,6 +77,10 @@ fn vertices() {
         problems(squares(), |d| d.vertices[4] = d.vertices[1]),
         Problem::CoincidentVertices { first: 1, second: 4, .. }
     );
+    // Also where zero has a sign.
+    let signed =
+        |d: &mut MeshData| (d.vertices[3], d.vertices[0]) = (Vec3::new(0.0, -0.0, 0.0), Vec3::new(-0.0, 0.0, 0.0));
+    assert_has!(problems(squares(), signed), Problem::CoincidentVertices { first: 0, second: 3, .. });
     // Coordinates too large for areas.
     assert_has!(problems(cubes(), |d| d.scale(1e200)), Problem::DegenerateFace { face: 0, .. });
 }
@@ -91,6 +95,10 @@ fn faces() {
     );
     assert_has!(
         problems(cubes(), |d| d.faces = with(&d.faces, 3, |list| list[1] = list[0])),
+        Problem::RepeatedVertex { face: 3, .. }
+    );
+    assert_has!(
+        problems(cubes(), |d| d.faces = with(&d.faces, 3, |list| list[2] = list[0])),
         Problem::RepeatedVertex { face: 3, .. }
     );
     // A box without height: all upright faces are degenerate, and the cells.
@@ -133,6 +141,12 @@ fn cells_of_faces() {
         }),
         Problem::CellSurface { cell: 4 }
     );
+    // Two squares that touch in one vertex are no cell.
+    let mut data = squares();
+    let [first, second, third, fourth] = [0, 1, 2, 3].map(|i| data.cells.get(i).to_vec());
+    data.cells = [[first, fourth].concat(), second, third].into_iter().collect();
+    data.cell_region.pop();
+    assert_has!(Mesh::new(data).unwrap_err().problems, Problem::OpenCell { cell: 0, ridge, count: 4 } if ridge == &[4]);
     let open = problems(cubes(), |d| d.cells = with(&d.cells, 5, |list| list.truncate(list.len() - 1)));
     assert_eq!(open.iter().filter(|p| matches!(p, Problem::OpenCell { cell: 5, count: 1, .. })).count(), 4);
 }
@@ -144,6 +158,12 @@ fn surfaces_of_cells() {
     let [a, b, c] = [0, 1, 2].map(|i| data.cells.get(i).to_vec());
     data.cells = [[a, c].concat(), b].into_iter().collect();
     data.cell_region.pop();
+    assert_has!(Mesh::new(data).unwrap_err().problems, Problem::CellSurface { cell: 0 });
+    // A closed surface with one side only: the projective plane of ten triangles.
+    let triangles =
+        [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5], [0, 1, 5], [1, 2, 4], [2, 3, 5], [1, 3, 4], [2, 4, 5], [1, 3, 5]];
+    let corners = (0..6).map(|i| Vec3::new(f64::from(i), f64::from(i * i), f64::from(i * i * i)));
+    let data = MeshData::from_polyhedra(corners.collect(), [triangles]);
     assert_has!(Mesh::new(data).unwrap_err().problems, Problem::CellSurface { cell: 0 });
     // Three points in a line.
     let flat = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, 0.0));

@@ -35,6 +35,11 @@ impl Document {
         // What made the present `data`.
         let mut key = source.key();
         let mut data = self.base(folder, read)?;
+        let has_marks = [&source.fractures, &source.regions, &source.tags].iter().any(|marks| !marks.is_empty());
+        if source.file_read().is_some() && has_marks {
+            // Marks need entities that exist.
+            data = Mesh::new(data).map_err(unsound(key))?.into_data();
+        }
         for (name, place) in self.marks(source.fractures.iter())? {
             data.mark_fracture(&name, |x| place.holds(&Point::new(x, 0.0)));
         }

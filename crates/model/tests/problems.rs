@@ -267,17 +267,27 @@ fn mesh_error(changes: &[&str]) -> String {
 fn what_is_wrong_with_the_mesh_has_its_place() {
     let triangles = "[mesh.triangles]\nlow = [0, 0]\nhigh = [1, 1]\nsize = 0.5\n\
                      fractures.a = { points = [[0.5, 0.5], [1.5, 0.5]], size = 0.1 }";
-    let with = |mesh: &str| {
+    let with = |mesh: &str, data: &mesh::MeshData| {
         let text = GOOD.replace("[mesh.box]\nlow = [0, 0]\nhigh = [1, 1]\ncells = [4, 4]", mesh);
         let document = Document::read("model.toml", &text, &[], &[]).unwrap();
-        document.mesh(Path::new("folder"), &|_, _| Ok(mesh::MeshData::default())).unwrap_err().to_string()
+        document.mesh(Path::new("folder"), &|_, _| Ok(data.clone())).unwrap_err().to_string()
     };
-    let error = with(triangles);
+    let empty = mesh::MeshData::default();
+    let error = with(triangles, &empty);
     let wanted =
         "model.toml:4:7: mesh.triangles: the mesh cannot be made: the geometry has 1 problem:\n  fracture \"a\" leaves";
     assert!(error.starts_with(wanted), "{error}");
-    let error = with("[mesh]\nfile = 'a.msh'");
+    let error = with("[mesh]\nfile = 'a.msh'", &empty);
     assert!(error.starts_with("folder/a.msh: the mesh has 2 problems:\n  the dimension is 0"), "{error}");
+    // Marks do not look at what is not there.
+    let mut broken = mesh::generate::cartesian(mesh::Vec3::ZERO, mesh::Vec3::ONE, [2, 1, 0]);
+    broken.cells = [vec![0, 1, 2, 99], vec![1, 4, 5, 6]].into_iter().collect();
+    broken.cell_region.pop();
+    for mark in ["fractures", "regions", "tags"] {
+        let error = with(&format!("[mesh]\nfile = 'a.msh'\n{mark}.new = 'x == 0.5'"), &broken);
+        assert!(error.starts_with("folder/a.msh: the mesh has 2 problems:"), "{error}");
+        assert!(error.contains("cell 0 refers to face 99, but there are only 7"), "{error}");
+    }
     let error = mesh_error(&["mesh.perturb.amplitude = 0.49", "mesh.perturb.seed = 3", "mesh.box.kershaw = 0.1"]);
     assert!(error.contains(":1:6: mesh.perturb: the mesh has 1 problem:\n  faces 2 and 14 of cell 4 cross"), "{error}");
     let levels = "mesh.extrude = { levels = [0, 1], layers = [1250001] }";

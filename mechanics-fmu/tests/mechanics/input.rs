@@ -321,3 +321,44 @@ fn no_fracture_and_no_load() {
     assert!(state.unknowns.iter().all(|&u| u == 0.0));
     assert_eq!(report.newton.iterations, 1);
 }
+
+/// Parameters in their range, but beyond all reason: an error, a step that does not converge, or a finite solution.
+#[test]
+fn extreme_parameters_give_no_nonsense() {
+    use proptest::prelude::*;
+    use proptest::test_runner::{RngAlgorithm, TestRng, TestRunner};
+    let of = |list: &'static [f64]| prop::sample::select(list);
+    let rock = (of(&[1e-300, 1e-3, 1e10, 1e150, 1e300]), of(&[-0.999999999999, 0.0, 0.3, 0.499999999999]));
+    let friction = (of(&[0.0, 1e-300, 0.5, 1e12, 1e300]), of(&[0.0, 1e-300, 1e6, 1e300]));
+    let joint = (of(&[0.0, 1e-300, 1e10, 1e300]), of(&[0.0, 0.3, 1.570796326794]), of(&[1e-300, 1e-4, 1e300]));
+    let load = (of(&[0.0, 1e-300, 1e6, 1e300]), of(&[0.0, 1e-300, 1e-3, 1e300]), of(&[1e-300, 0.01, 1e12]));
+    let config = ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() };
+    let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
+    let converged = std::cell::Cell::new(0);
+    let result = runner.run(&(rock, friction, joint, load), |((e, nu), (f, c), (k, angle, aperture), (p, u, beta))| {
+        let (mesh, mut model) = squares();
+        (self::rock(&mut model).young_modulus, self::rock(&mut model).poisson_ratio) = (e, nu);
+        *law(&mut model) = FractureLaw {
+            friction: Friction::Coulomb { coefficient: f, cohesion: c },
+            dilation_angle: angle,
+            normal_stiffness: (k > 0.0).then_some(k),
+            contact_aperture: Arc::new(move |_, _| aperture),
+        };
+        model.newton.beta_factor = beta;
+        hold(&mut model, 2, &["top"], move |p, _| u * Vec3::new(1.0, p.at.x - 0.6, 0.0));
+        let mut partner = Partner::uniform(&mesh, 0.0);
+        partner.fracture_pressure.fill(p);
+        let Ok(mut mechanics) = Mechanics::new(mesh, model) else { return Ok(()) };
+        let rest = mechanics.rest(0.0);
+        if let Ok(Outcome::Converged(state, _)) = mechanics.step(&rest, 1.0, &partner) {
+            let finite = state.unknowns.iter().chain(&state.multiplier).all(|v| v.is_finite());
+            prop_assert!(finite, "{:?} {:?}", state.unknowns, state.multiplier);
+            converged.set(converged.get() + 1);
+        }
+        Ok(())
+    });
+    if let Err(e) = result {
+        panic!("{e}");
+    }
+    assert!(converged.get() > 50, "{}", converged.get());
+}

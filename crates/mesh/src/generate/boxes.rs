@@ -3,8 +3,8 @@
 use crate::random::Random;
 use crate::{EdgeKind, Mesh, MeshData, Vec3};
 
-/// A Cartesian mesh of the box from `low` to `high` (m) with `n` cells in each direction. In 2D, say with
-/// `n[2] = 0`, z is not looked at. Boundary tags `left`, `right` (x), `front`, `back` (y) and `bottom`,
+/// A Cartesian mesh of the box from `low` to `high` (m, above `low` in each direction) with `n` cells, at least one, in each
+/// direction. In 2D, say with `n[2] = 0`, z is not looked at. Boundary tags `left`, `right` (x), `front`, `back` (y) and `bottom`,
 /// `top` (z); in 2D `bottom` and `top` are those of y.
 pub fn cartesian(low: Vec3, high: Vec3, n: [usize; 3]) -> MeshData {
     let dim = if n[2] == 0 { 2 } else { 3 };
