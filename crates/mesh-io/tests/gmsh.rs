@@ -101,6 +101,73 @@ fn nodes_may_come_in_any_order() {
     assert_eq!(data.regions, ["rock"]);
 }
 
+/// A file of one element, of this kind, at these points.
+fn element(kind: u32, points: &[[f64; 3]]) -> String {
+    let n = points.len();
+    let numbers: Vec<String> = (1..=n).map(|i| i.to_string()).collect();
+    let coordinates: Vec<String> = points.iter().map(|[x, y, z]| format!("{x} {y} {z}")).collect();
+    format!(
+        "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 {n} 1 {n}\n3 1 0 {n}\n{}\n{}\n$EndNodes\n\
+         $Elements\n1 1 1 1\n3 1 {kind} 1\n1 {}\n$EndElements\n",
+        numbers.join("\n"),
+        coordinates.join("\n"),
+        numbers.join(" ")
+    )
+}
+
+/// Corners in the order of Gmsh's manual; all faces are on the boundary.
+#[test]
+fn each_kind_of_solid_has_its_faces() {
+    let [a, b, c, d] = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]];
+    let up = |p: [f64; 3]| [p[0], p[1], 1.0];
+    let (half, root) = (0.5, |x: f64| x.sqrt());
+    let cases: [(&str, u32, Vec<[f64; 3]>, usize, f64, f64); 4] = [
+        ("tetrahedron", 4, vec![a, b, d, up(a)], 4, 1.0 / 6.0, 1.5 + root(0.75)),
+        ("hexahedron", 5, vec![a, b, c, d, up(a), up(b), up(c), up(d)], 6, 1.0, 6.0),
+        ("prism", 6, vec![a, b, d, up(a), up(b), up(d)], 5, 0.5, 3.0 + root(2.0)),
+        ("pyramid", 7, vec![a, b, c, d, [half, half, 1.0]], 5, 1.0 / 3.0, 1.0 + root(5.0)),
+    ];
+    for (name, kind, points, faces, volume, area) in cases {
+        let mesh = Mesh::new(attempt(element(kind, &points).as_bytes()).unwrap()).unwrap();
+        assert_eq!((mesh.cell_count(), mesh.face_count()), (1, faces), "{name}");
+        assert!(close(mesh.geometry().cell_measure[0], volume), "{name}: {}", mesh.geometry().cell_measure[0]);
+        assert!(close(mesh.geometry().face_measure.iter().sum(), area), "{name}");
+    }
+}
+
+#[test]
+fn lines_may_end_as_on_windows() {
+    let text = std::fs::read_to_string(data("plane-text.msh")).unwrap();
+    assert_eq!(attempt(text.replace('\n', "\r\n").as_bytes()).unwrap(), attempt(text.as_bytes()).unwrap());
+}
+
+#[test]
+fn nodes_may_have_parameters() {
+    let text = std::fs::read_to_string(data("plane-text.msh")).unwrap();
+    // The node in a corner is on a point, which has none; the next is on a curve.
+    let lines: Vec<&str> = text.lines().collect();
+    let block =
+        lines.iter().position(|line| line.starts_with("1 ") && line.ends_with(" 0 1") && line.len() < 10).unwrap();
+    let with = [
+        &lines[..block],
+        &[&lines[block].replacen(" 0 1", " 1 1", 1), lines[block + 1], &format!("{} 0.25", lines[block + 2])],
+        &lines[block + 3..],
+    ];
+    assert_eq!(attempt(with.concat().join("\n").as_bytes()).unwrap(), attempt(text.as_bytes()).unwrap());
+}
+
+/// Gmsh gives an entity that lies the other way in its group a minus sign.
+#[test]
+fn the_first_group_of_an_entity_counts_whatever_its_sense() {
+    let text = std::fs::read_to_string(data("plane-text.msh")).unwrap();
+    let plain = attempt(text.as_bytes()).unwrap();
+    for groups in ["1 -37", "2 37 5", "2 -37 4"] {
+        let changed = text.replace("1 37 2 2 -3", &format!("{groups} 2 2 -3"));
+        assert_ne!(changed, text);
+        assert_eq!(attempt(changed.as_bytes()).unwrap(), plain, "{groups}");
+    }
+}
+
 #[test]
 fn damaged_files_are_refused() {
     let text = std::fs::read_to_string(data("plane-text.msh")).unwrap();
