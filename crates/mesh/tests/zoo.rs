@@ -3,7 +3,7 @@
 mod common;
 
 use common::{check, measure};
-use mesh::{EdgeKind, Mesh, Vec3, zoo};
+use mesh::{EdgeKind, Mesh, Vec3, tangents, zoo};
 
 fn kinds(mesh: &Mesh) -> [usize; 4] {
     let kinds = [EdgeKind::Inner, EdgeKind::Tip, EdgeKind::Boundary, EdgeKind::Intersection];
@@ -66,6 +66,22 @@ fn motion_and_scale_do_not_matter() {
         let factor = 100.0_f64.powi(mesh.dim() as i32);
         assert!((measure(&other) / measure(&mesh) / factor - 1.0).abs() < 1e-11, "{}", specimen.name);
     }
+}
+
+#[test]
+fn bases_are_right_handed_and_along_the_strike() {
+    let [t1, t2] = tangents(2, Vec3::new(0.6, 0.8, 0.0));
+    assert!(t1.distance(Vec3::new(-0.8, 0.6, 0.0)) < 1e-15 && t2.distance(Vec3::Z) < 1e-15, "{t1} {t2}");
+    let dipping = Vec3::new(0.0, -0.6, 0.8);
+    let [t1, t2] = tangents(3, dipping);
+    // The strike is ẑ × n, and t₂ points up the dip.
+    assert!(t1.distance(Vec3::X) < 1e-15 && t2.distance(Vec3::new(0.0, 0.8, 0.6)) < 1e-15, "{t1} {t2}");
+    for n in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(1e-9, 0.0, 1.0), Vec3::new(1.0, 2.0, -3.0).normalize()] {
+        let [t1, t2] = tangents(3, n);
+        assert!(t1.cross(t2).distance(n) < 1e-8 && (t1.length() - 1.0).abs() < 1e-15, "{n}: {t1} {t2}");
+        assert!(t1.dot(n).abs() < 1e-15 && t1.z.abs() < 1e-8, "{n}: {t1}");
+    }
+    assert_eq!(tangents(3, Vec3::Z)[0], Vec3::X);
 }
 
 #[test]

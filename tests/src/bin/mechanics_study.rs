@@ -182,7 +182,7 @@ fn study_network_3d(output: &Path, meshes: usize) -> Outcome<()> {
         let mesh = Arc::new(network_3d::tetrahedra(size, layers));
         for bubbles in [Bubbles::OneSided, Bubbles::TwoSided] {
             let series = network(&mesh, network_3d::model(bubbles), bubbles, &mut rows)?;
-            slips.push((format!("{} cells, {bubbles:?}", mesh.cell_count()), series).into());
+            slips.push((format!("{} cells, {}", mesh.cell_count(), side(bubbles)), series).into());
         }
     }
     let head = [

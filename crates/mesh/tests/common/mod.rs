@@ -23,6 +23,17 @@ pub(crate) fn check(name: &str, mesh: &Mesh) {
             let length = g.face_vector[face].length();
             assert!((g.face_measure[face] - length).abs() < 1e-11 * length, "{name}: measure of face {face}");
         }
+        if planar {
+            // From triangles that all have the first vertex.
+            let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+            for i in 1..list.len() - 1 {
+                let [a, b, c] = [list[0], list[i], list[i + 1]].map(|v| x[v]);
+                let area = (b - a).cross(c - a).dot(normal);
+                (sum, total) = (sum + area * (a + b + c) / 3.0, total + area);
+            }
+            let wanted = if list.len() == 2 { (x[list[0]] + x[list[1]]) / 2.0 } else { sum / total };
+            assert!(g.face_center[face].distance(wanted) < 1e-11 * (size + offset), "{name}: {wanted} of face {face}");
+        }
         let (first, second) = mesh.face_cells(face);
         if let Some(second) = second {
             assert_ne!(first, second, "{name}: cells of face {face}");
@@ -39,6 +50,9 @@ pub(crate) fn check(name: &str, mesh: &Mesh) {
         assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12 * thin, "{name}: weights of cell {cell}");
         let center: Vec3 = list.iter().zip(weights).map(|(&v, w)| *w * x[v]).sum();
         assert!(center.distance(g.cell_center[cell]) < 1e-12 * (diameter + offset) * thin, "{name}: center of {cell}");
+        let mass: Vec3 = mesh.quadrature(cell).into_iter().map(|(point, weight)| weight * point).sum();
+        let off = (mass / measure).distance(g.cell_center[cell]);
+        assert!(off < 1e-12 * (diameter + offset) * thin, "{name}: center of {cell} off by {off}");
         let area: f64 = mesh.cell_faces(cell).iter().map(|&f| g.face_measure[f]).sum();
         let mut closed = Vec3::ZERO;
         let mut moment = [Vec3::ZERO; 3];
