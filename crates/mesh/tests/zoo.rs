@@ -69,6 +69,26 @@ fn motion_and_scale_do_not_matter() {
 }
 
 #[test]
+fn edges_know_all_boundary_faces_that_contain_them() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data).unwrap();
+        let network = mesh.network();
+        for edge in 0..network.edge_count() {
+            let ends = network.edge_vertices.get(edge);
+            let contains = |face: &usize| {
+                let list = mesh.face_vertices(*face);
+                let pairs = (0..list.len()).map(|i| [list[i], list[(i + 1) % list.len()]]);
+                pairs.into_iter().any(|pair| ends.iter().all(|v| pair.contains(v)))
+            };
+            let wanted: Vec<usize> = (0..mesh.face_count()).filter(|&f| mesh.is_boundary(f)).filter(contains).collect();
+            let mut found = network.edge_boundary.get(edge).to_vec();
+            found.sort_unstable();
+            assert_eq!(found, wanted, "{}: edge {edge}", specimen.name);
+        }
+    }
+}
+
+#[test]
 fn bases_are_right_handed_and_along_the_strike() {
     let [t1, t2] = tangents(2, Vec3::new(0.6, 0.8, 0.0));
     assert!(t1.distance(Vec3::new(-0.8, 0.6, 0.0)) < 1e-15 && t2.distance(Vec3::Z) < 1e-15, "{t1} {t2}");
