@@ -121,7 +121,7 @@ fn each_kind_of_solid_has_its_faces() {
     let [a, b, c, d] = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]];
     let up = |p: [f64; 3]| [p[0], p[1], 1.0];
     let (half, root) = (0.5, |x: f64| x.sqrt());
-    let cases: [(&str, u32, Vec<[f64; 3]>, usize, f64, f64); 4] = [
+    let cases = [
         ("tetrahedron", 4, vec![a, b, d, up(a)], 4, 1.0 / 6.0, 1.5 + root(0.75)),
         ("hexahedron", 5, vec![a, b, c, d, up(a), up(b), up(c), up(d)], 6, 1.0, 6.0),
         ("prism", 6, vec![a, b, d, up(a), up(b), up(d)], 5, 0.5, 3.0 + root(2.0)),
