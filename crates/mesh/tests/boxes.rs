@@ -19,6 +19,29 @@ fn edges(mesh: &Mesh, kind: EdgeKind) -> usize {
 }
 
 #[test]
+fn sides_have_their_names() {
+    let (low, high) = (Vec3::new(-1.0, 0.0, 2.0), Vec3::new(1.0, 3.0, 4.0));
+    for n in [[2, 3, 0], [2, 3, 1]] {
+        let mesh = Mesh::new(cartesian(low, high, n)).unwrap();
+        let sides: &[[&str; 2]] = if n[2] == 0 {
+            &[["left", "right"], ["bottom", "top"]]
+        } else {
+            &[["left", "right"], ["front", "back"], ["bottom", "top"]]
+        };
+        let mut tagged = 0;
+        for (axis, names) in sides.iter().enumerate() {
+            for (name, at) in names.iter().zip([low, high]) {
+                for face in mesh.tagged_faces(name) {
+                    assert_eq!(mesh.geometry().face_center[face][axis], at[axis], "{name}");
+                    tagged += 1;
+                }
+            }
+        }
+        assert_eq!(tagged, (0..mesh.face_count()).filter(|&face| mesh.is_boundary(face)).count());
+    }
+}
+
+#[test]
 fn perturbed_boxes_keep_boundary_and_fractures() {
     for dim in [2, 3] {
         let mut data = cartesian(Vec3::splat(-1.0), Vec3::splat(1.0), [4, 4, if dim == 3 { 4 } else { 0 }]);

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{check, measure};
+use mesh::generate::cartesian;
 use mesh::{EdgeKind, Mesh, Vec3, tangents, zoo};
 
 fn kinds(mesh: &Mesh) -> [usize; 4] {
@@ -43,6 +44,7 @@ fn numbering_does_not_matter() {
         for cell in 0..mesh.cell_count() {
             let (a, b) = (mesh.geometry().cell_measure[cell], other.geometry().cell_measure[new.cells[cell]]);
             assert!((a - b).abs() < 1e-11 * a, "{}: {a} {b}", specimen.name);
+            assert_eq!(mesh.data().cell_region[cell], other.data().cell_region[new.cells[cell]], "{}", specimen.name);
         }
         for &face in &mesh.network().faces {
             let (a, b) = (mesh.geometry().face_normal(face), other.geometry().face_normal(new.faces[face]));
@@ -86,6 +88,73 @@ fn edges_know_all_boundary_faces_that_contain_them() {
             assert_eq!(found, wanted, "{}: edge {edge}", specimen.name);
         }
     }
+}
+
+/// Cells that share a face which is no fracture share the nodes on it, and those on both sides of a fracture do not unless it
+/// ends there.
+#[test]
+fn nodes_are_those_of_their_vertices_and_split_along_fractures() {
+    for specimen in zoo::all() {
+        let mesh = Mesh::new(specimen.data).unwrap();
+        let (nodes, network) = (mesh.nodes(), mesh.network());
+        let tips = (0..network.edge_count()).filter(|&e| network.edge_kind(e) == EdgeKind::Tip);
+        let tips: Vec<usize> = tips.flat_map(|e| network.edge_vertices.get(e).to_vec()).collect();
+        let mut used = vec![false; nodes.count()];
+        for cell in 0..mesh.cell_count() {
+            let own = nodes.of_cell(cell);
+            own.iter().for_each(|&node| used[node] = true);
+            let vertices: Vec<usize> = own.iter().map(|&node| nodes.vertices()[node]).collect();
+            assert_eq!(vertices, mesh.cell_vertices(cell), "{}", specimen.name);
+        }
+        assert!(used.iter().all(|&used| used), "{}", specimen.name);
+        for face in 0..mesh.face_count() {
+            let (first, Some(second)) = mesh.face_cells(face) else { continue };
+            let on = |cell: usize| -> Vec<usize> {
+                let vertices = mesh.cell_vertices(cell);
+                let node = |v: &usize| nodes.of_cell(cell)[vertices.binary_search(v).unwrap()];
+                mesh.face_vertices(face).iter().map(node).collect()
+            };
+            let shared = on(first).iter().zip(on(second)).filter(|&(a, b)| *a == b).count();
+            let list = mesh.face_vertices(face);
+            match network.number_of_face[face] {
+                None => assert_eq!(shared, list.len(), "{}", specimen.name),
+                Some(_) if list.iter().all(|v| tips.contains(v)) => {}
+                Some(_) => assert!(shared < list.len(), "{}: face {face} is not split", specimen.name),
+            }
+        }
+    }
+}
+
+#[test]
+fn polygons_run_counter_clockwise() {
+    for specimen in zoo::plane() {
+        let mesh = Mesh::new(specimen.data).unwrap();
+        for cell in 0..mesh.cell_count() {
+            let corners: Vec<Vec3> = mesh.cell_polygon(cell).into_iter().map(|v| mesh.vertices()[v]).collect();
+            assert_eq!(corners.len(), mesh.cell_faces(cell).len(), "{}", specimen.name);
+            let next = |i: usize| corners[(i + 1) % corners.len()];
+            let area: f64 = (0..corners.len()).map(|i| 0.5 * corners[i].cross(next(i)).z).sum();
+            let measure = mesh.geometry().cell_measure[cell];
+            assert!(
+                (area - measure).abs() < 1e-12 * (measure + 1.0),
+                "{}, cell {cell}: {area} {measure}",
+                specimen.name
+            );
+        }
+    }
+}
+
+#[test]
+fn changes_of_data_do_what_they_say() {
+    let mut data = cartesian(Vec3::ZERO, Vec3::ONE, [2, 2, 0]);
+    // Inner faces have no tag.
+    data.tag_boundary(|x| (x.y > 0.25).then_some("most"));
+    let mesh = Mesh::new(data.clone()).unwrap();
+    let length = |tag| mesh.tagged_faces(tag).map(|f| mesh.geometry().face_measure[f]).sum::<f64>();
+    assert_eq!(["bottom", "left", "most"].map(length), [1.0, 0.5, 2.0]);
+    assert_eq!(mesh.region_cells("sand").count(), 0);
+    data.move_rigidly(Vec3::Z, std::f64::consts::FRAC_PI_2, Vec3::X);
+    assert!(data.vertices[1].distance(Vec3::new(1.0, 0.5, 0.0)) < 1e-15, "{}", data.vertices[1]);
 }
 
 #[test]
@@ -177,6 +246,16 @@ fn fingerprints_tell_meshes_apart() {
     renamed.tags[0].push('x');
     assert_eq!(Mesh::new(one.clone()).unwrap().fingerprint(), all[0]);
     assert_eq!(Mesh::new(renamed).unwrap().fingerprint(), all[0]);
+    // A face of another fracture.
+    let mut renumbered = one.clone();
+    let marked = renumbered.face_fracture.iter_mut().find(|f| **f == Some(0)).unwrap();
+    *marked = Some(1);
+    assert_ne!(Mesh::new(renumbered).unwrap().fingerprint(), all[0]);
+    // −0 is 0.
+    let mut signed = one.clone();
+    let zero = signed.vertices.iter_mut().find(|x| x.y == 0.0).unwrap();
+    zero.y = -0.0;
+    assert_eq!(Mesh::new(signed).unwrap().fingerprint(), all[0]);
     let mut moved = one;
     moved.vertices[3].x += 1e-12;
     assert_ne!(Mesh::new(moved).unwrap().fingerprint(), all[0]);
