@@ -282,12 +282,13 @@ impl Mechanics {
     /// The equilibrium at `time` (s), after `previous`. The result depends on nothing else, to the last bit.
     ///
     /// # Errors
-    /// Arrays of the wrong length, values that are not finite, boundary functions that give such, a singular contact
-    /// problem.
+    /// Arrays of the wrong length, as in a state of another mesh, values that are not finite, boundary functions that give such,
+    /// a singular contact problem.
     pub fn step(&mut self, previous: &State, time: f64, partner: &Partner) -> Result<Outcome, MechanicsError> {
         if !time.is_finite() {
             return Err(MechanicsError::Value { field: "time", index: 0, value: time, allowed: "finite" });
         }
+        self.check_state(previous)?;
         self.check_partner(partner)?;
         let stiffness = partner.response.as_ref().map_or(&[][..], |r| &r.matrix_pressure_stiffness);
         self.follow(stiffness)?;
@@ -579,22 +580,7 @@ impl Mechanics {
     /// # Errors
     /// [`MechanicsError::Length`] if it is that of another mesh.
     pub fn load(&self, saved: SavedState) -> Result<State, MechanicsError> {
-        let (d, faces) = (self.mesh.dim(), self.faces.len());
-        let s = &saved;
-        for (field, found, expected) in [
-            ("displacement", s.unknowns.len(), d * self.system.space.entity_count()),
-            ("multiplier", s.multiplier.len(), d * faces),
-            ("contact state", s.contact.len(), faces),
-            ("initial divergence", s.initial_divergence.len(), self.mesh.cell_count()),
-            ("initial jump", s.initial_jump.len(), d * faces),
-            ("previous jump", s.history.previous_jump.len(), d * faces),
-            ("partner of a fracture face", s.history.partners.len(), faces),
-        ] {
-            if found != expected {
-                return Err(MechanicsError::Length { field, found, expected });
-            }
-        }
-        Ok(State {
+        let state = State {
             time: saved.time,
             unknowns: saved.unknowns,
             multiplier: saved.multiplier,
@@ -602,7 +588,28 @@ impl Mechanics {
             initial_divergence: saved.initial_divergence,
             initial_jump: saved.initial_jump,
             history: saved.history,
-        })
+        };
+        self.check_state(&state)?;
+        Ok(state)
+    }
+
+    /// Whether a state has the lengths of this mesh.
+    fn check_state(&self, state: &State) -> Result<(), MechanicsError> {
+        let (d, faces) = (self.mesh.dim(), self.faces.len());
+        for (field, found, expected) in [
+            ("displacement", state.unknowns.len(), d * self.system.space.entity_count()),
+            ("multiplier", state.multiplier.len(), d * faces),
+            ("contact state", state.contact.len(), faces),
+            ("initial divergence", state.initial_divergence.len(), self.mesh.cell_count()),
+            ("initial jump", state.initial_jump.len(), d * faces),
+            ("previous jump", state.history.previous_jump.len(), d * faces),
+            ("partner of a fracture face", state.history.partners.len(), faces),
+        ] {
+            if found != expected {
+                return Err(MechanicsError::Length { field, found, expected });
+            }
+        }
+        Ok(())
     }
 
     /// b²/K_dr of each cell (1/Pa): how the porosity of a free body answers to pressure.
@@ -650,6 +657,7 @@ impl Mechanics {
             fracture_pressure: fracture_pressure.to_vec(),
             response: None,
         };
+        self.check_state(state)?;
         self.check_partner(&change)?;
         let mut full = vec![0.0; state.unknowns.len()];
         self.add_pressures(&change, state, &mut full)?;
@@ -678,8 +686,9 @@ impl Mechanics {
     /// on the fracture only. Closed rigid faces give 0; negative values are possible.
     ///
     /// # Errors
-    /// A singular contact problem.
+    /// A state of another mesh; a singular contact problem.
     pub fn aperture_compliance(&self, state: &State) -> Result<Vec<f64>, MechanicsError> {
+        self.check_state(state)?;
         let d = self.mesh.dim();
         let mut change = vec![0.0; self.faces.len() * d];
         for (i, face) in self.faces.iter().enumerate() {

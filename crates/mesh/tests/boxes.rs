@@ -78,10 +78,13 @@ fn kershaw_boxes_are_sound() {
         let mesh = Mesh::new(kershaw(Vec3::new(-1.0, 0.0, 2.0), Vec3::new(1.0, 3.0, 4.0), n, 0.3)).unwrap();
         check("kershaw", &mesh);
         assert!((measure(&mesh) - if n[2] == 0 { 6.0 } else { 12.0 }).abs() < 1e-12);
-        // The thinnest layer has 0.3 of the Cartesian height (3D: in both directions).
+        // The thinnest layer has 0.3 of the Cartesian height (3D: in both directions), and the thickest the rest of two.
+        let plain = measure(&mesh) / mesh.cell_count() as f64;
         let (low, high) =
             mesh.geometry().cell_measure.iter().fold((f64::INFINITY, 0.0_f64), |(l, h), &m| (l.min(m), h.max(m)));
-        assert!((low / high) < 0.3, "{low} {high}");
+        let directions = if n[2] == 0 { 1 } else { 2 };
+        assert!((low / plain - 0.3_f64.powi(directions)).abs() < 1e-12, "{low} {plain}");
+        assert!((high / plain - 1.7_f64.powi(directions)).abs() < 1e-12, "{high} {plain}");
     }
     let plain = cartesian(Vec3::ZERO, Vec3::ONE, [6, 4, 4]);
     let same = kershaw(Vec3::ZERO, Vec3::ONE, [6, 4, 4], 1.0);
