@@ -232,7 +232,7 @@ const GUESSES: [&str; 5] = ["0.5", "1", "'1'", "[]", "{}"];
 const NOWHERE: Range<usize> = usize::MAX..usize::MAX;
 /// What toml says of a choice with entries of its own that is only named, and what is said for it.
 const NAME_ALONE: &str = "invalid type: unit variant, expected struct variant";
-const TABLE: &str = "this choice has entries: it must be a table, NAME = {} where all have defaults";
+const TABLE: &str = "this choice has entries: it must be a table, { NAME = {} } where all have defaults";
 /// What it says of a choice without a name.
 const EMPTY_CHOICE: &str = "wanted exactly 1 element, found 0 elements";
 /// Times that the tree is read again: more problems than this do not help anyone.

@@ -70,7 +70,7 @@ pub(crate) struct CompareArguments {
     /// Ends each run after so many time steps
     #[arg(long, value_name = "NUMBER")]
     steps: Option<usize>,
-    /// Tries smaller time steps after failures, as `run` does; otherwise a failure ends the run
+    /// Tries smaller time steps after failures, as `run` does; otherwise a failure ends the run of a model without adaptive time steps
     #[arg(long)]
     cut: bool,
     /// Folder for the results [default: results/compare-NAME]
