@@ -163,7 +163,8 @@ impl System {
         let analysis = lap(Stage::Analysis);
         let mut stiffness = SparseSymmetric::zeros(pattern);
         let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
-        cells.add_stiffness(&mut stiffness)?;
+        let fixed_rows = cells.add_stiffness(&fixed, &mut stiffness)?;
+        let divergence = cells.divergence()?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap(Stage::Assembly);
@@ -172,9 +173,6 @@ impl System {
         let factorisation = lap(Stage::Factorisation);
         let (schur, inverse) = schur_without_springs(&cholesky, &springs)?;
         let condensation = lap(Stage::Condensation);
-        // After the stages that need most memory.
-        let (fixed_rows, divergence) = (cells.fixed_rows(&fixed)?, cells.divergence()?);
-        let assembly = assembly + clock.elapsed();
         let memory = cholesky.memory();
         let setup = SetupReport {
             analysis,
@@ -224,8 +222,7 @@ impl System {
         let mut is_fixed = vec![false; self.space.dim() * self.space.entity_count()];
         self.fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
         let cells = Cells { mesh, space: &self.space, materials: &self.materials, fixed: &is_fixed, extra };
-        cells.add_stiffness(&mut stiffness)?;
-        self.fixed_rows = cells.fixed_rows(&self.fixed)?;
+        self.fixed_rows = cells.add_stiffness(&self.fixed, &mut stiffness)?;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
         self.work.assembly += clock.elapsed();
         let clock = Instant::now();
@@ -309,16 +306,14 @@ impl Cells<'_> {
         local.operators.fill_stiffness(self.space.dim(), m.lambda, m.mu, extra, &mut local.functions);
     }
 
-    fn is_fixed(&self, unknown: &u32) -> bool {
-        self.fixed[*unknown as usize]
-    }
-
-    /// Adds the rows and columns of A of free unknowns. Each thread computes the cells that its columns need: those between
-    /// two parts twice, but nothing has to be kept or copied.
-    fn add_stiffness(&self, stiffness: &mut SparseSymmetric) -> Result<(), linear::Error> {
-        let parts = stiffness.columns(rayon::current_num_threads());
-        parts.into_par_iter().try_for_each(|mut columns| {
-            let (mut local, mut free) = (Local::default(), Vec::new());
+    /// Adds the rows and columns of A of free unknowns and gives the rows of fixed ones: fixed × unknowns.
+    ///
+    /// Each thread computes the cells that its columns need: those between two parts twice, but nothing has to be kept or
+    /// copied.
+    fn add_stiffness(&self, fixed: &[Fixed], stiffness: &mut SparseSymmetric) -> Result<Csr, linear::Error> {
+        let row_of = |unknown: u32| fixed.partition_point(|f| f.unknown < unknown as usize) as u32;
+        let parts = stiffness.columns(rayon::current_num_threads()).into_par_iter().map(|mut columns| {
+            let (mut local, mut free, mut rows) = (Local::default(), Vec::new(), Vec::new());
             for cell in 0..self.mesh.cell_count() {
                 self.fill_numbers(cell, &mut local);
                 if !columns.concern(&local.unknowns.entities) {
@@ -327,40 +322,26 @@ impl Cells<'_> {
                 self.fill_stiffness(cell, &mut local);
                 let Local { unknowns, numbers, functions, .. } = &local;
                 let mut matrix = unknowns.reduce_matrix(functions);
-                if numbers.iter().any(|u| self.is_fixed(u)) {
-                    let kept: Vec<usize> = (0..numbers.len()).filter(|&k| !self.is_fixed(&numbers[k])).collect();
-                    free.clear();
-                    for row in kept.iter().map(|i| &matrix[i * numbers.len()..]) {
-                        free.extend(kept.iter().map(|&j| row[j]));
+                if numbers.iter().any(|&u| self.fixed[u as usize]) {
+                    let (fixed, kept): (Vec<usize>, Vec<usize>) =
+                        (0..numbers.len()).partition(|&k| self.fixed[numbers[k] as usize]);
+                    let row = |i: usize| &matrix[i * numbers.len()..][..numbers.len()];
+                    // One thread computes all cells around an entity, in order.
+                    let owned = |i: &&usize| columns.concern(&[unknowns.entities[*i / self.space.dim()]]);
+                    for &i in fixed.iter().filter(owned) {
+                        let entries = numbers.iter().zip(row(i));
+                        rows.extend(entries.map(|(&column, &v)| (row_of(numbers[i]), column, v)));
                     }
+                    free.clear();
+                    kept.iter().for_each(|&i| free.extend(kept.iter().map(|&j| row(i)[j])));
                     matrix = Cow::Borrowed(&free);
                 }
                 columns.add(&unknowns.entities, &matrix)?;
             }
-            Ok(())
-        })
-    }
-
-    /// The rows of A of fixed unknowns: fixed × unknowns.
-    fn fixed_rows(&self, fixed: &[Fixed]) -> Result<Csr, linear::Error> {
-        let mut row_of = vec![u32::MAX; self.fixed.len()];
-        fixed.iter().zip(0..).for_each(|(f, row)| row_of[f.unknown] = row);
-        let mut triplets = Vec::new();
-        let mut local = Local::default();
-        for cell in 0..self.mesh.cell_count() {
-            self.fill_numbers(cell, &mut local);
-            if !local.numbers.iter().any(|u| self.is_fixed(u)) {
-                continue;
-            }
-            self.fill_stiffness(cell, &mut local);
-            let Local { unknowns, numbers, functions, .. } = &local;
-            let matrix = unknowns.reduce_matrix(functions);
-            for (u, values) in numbers.iter().zip(matrix.chunks_exact(numbers.len())).filter(|(u, _)| self.is_fixed(u))
-            {
-                triplets.extend(numbers.iter().zip(values).map(|(&column, &v)| (row_of[*u as usize], column, v)));
-            }
-        }
-        Csr::from_triplets(fixed.len(), self.fixed.len(), &triplets)
+            Ok(rows)
+        });
+        let rows = parts.collect::<Result<Vec<_>, linear::Error>>()?.concat();
+        Csr::from_triplets(fixed.len(), self.fixed.len(), &rows)
     }
 
     /// div_K: cells × unknowns (1/m).

@@ -9,6 +9,7 @@ use faer::sparse::linalg::cholesky::{simplicial, supernodal};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{MatMut, Par};
 
+use crate::buffer::Buffer;
 use crate::error::{Error, check_len};
 use crate::panels::{Panels, Work};
 use crate::pattern::{Pattern, SparseSymmetric};
@@ -45,7 +46,7 @@ impl Symbolic {
     /// [`Error::TooLarge`] if the factor would have 2³¹ entries or more, [`Error::OutOfMemory`].
     pub fn new(pattern: &Arc<Pattern>) -> Result<Self, Error> {
         let n = pattern.len();
-        let (upper_ptr, upper_row) = transpose(n, pattern.lower());
+        let (upper_ptr, upper_row) = transpose(pattern);
         let upper = SymbolicSparseColMatRef::new_checked(n, n, &upper_ptr, None, &upper_row);
         let scratch = StackReq::any_of(&[
             simplicial::prefactorize_symbolic_cholesky_scratch::<u32>(n, upper_row.len()),
@@ -87,15 +88,16 @@ impl Symbolic {
     }
 }
 
-/// The upper triangle by columns of a pattern of which the lower one is given.
-fn transpose(n: usize, (col_ptr, rows): (&[u32], Vec<u32>)) -> (Vec<u32>, Vec<u32>) {
-    let mut ptr = vec![0u32; n + 1];
+/// The upper triangle of a pattern by columns.
+fn transpose(pattern: &Pattern) -> (Vec<u32>, Buffer<u32>) {
+    let (col_ptr, rows) = pattern.lower();
+    let mut ptr = vec![0u32; pattern.len() + 1];
     rows.iter().for_each(|&i| ptr[i as usize + 1] += 1);
-    for i in 0..n {
+    for i in 0..pattern.len() {
         ptr[i + 1] += ptr[i];
     }
     let mut next = ptr.clone();
-    let mut columns = vec![0; rows.len()];
+    let mut columns = Buffer::zeros(rows.len());
     for (j, range) in col_ptr.windows(2).enumerate() {
         for &i in &rows[range[0] as usize..range[1] as usize] {
             columns[next[i as usize] as usize] = j as u32;
@@ -356,12 +358,12 @@ impl Cholesky {
     /// multiplications; while S⁻¹ and then S are made, L22 gives way to them, m²/2 numbers of single precision.
     ///
     /// # Errors
-    /// [`Error::NotFactorised`], [`Error::OutOfMemory`].
+    /// [`Error::NotFactorised`].
     pub fn schur(&self) -> Result<(DenseSymmetric, DenseSymmetric), Error> {
         self.check(self.len())?;
         let lower = || self.symbolic.panels.trailing_factor(&self.factor);
-        let inverse = lower()?.inverse()?;
-        Ok((lower()?.square(), inverse))
+        let inverse = lower().inverse();
+        Ok((lower().square(), inverse))
     }
 
     /// y += S x in double precision, with the Schur complement S as the factor holds it: reads m²/2 numbers.

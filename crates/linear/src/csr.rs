@@ -22,23 +22,25 @@ impl Csr {
     pub fn from_triplets(rows: usize, cols: usize, triplets: &[(u32, u32, f64)]) -> Result<Self, Error> {
         index(rows)?;
         index(cols)?;
-        let mut by_row = vec![Vec::new(); rows];
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
             check_index("column", j as usize, cols)?;
             if !v.is_finite() {
                 return Err(Error::NonFinite { row: i as usize, column: j as usize });
             }
-            by_row[i as usize].push((j, v));
         }
-        let mut csr = Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() };
-        for mut row in by_row {
-            row.sort_by_key(|&(j, _)| j);
-            for sum in row.chunk_by(|a, b| a.0 == b.0) {
-                csr.col_idx.push(sum[0].0);
-                csr.values.push(sum.iter().map(|(_, v)| v).sum());
-            }
-            csr.row_ptr.push(index(csr.col_idx.len())?);
+        let mut order: Vec<u32> = (0..index(triplets.len())?).collect();
+        let place = |k: &u32| (triplets[*k as usize].0, triplets[*k as usize].1);
+        order.sort_by_key(place);
+        let mut csr = Self { cols, row_ptr: vec![0; rows + 1], col_idx: Vec::new(), values: Vec::new() };
+        for same in order.chunk_by(|a, b| place(a) == place(b)) {
+            let (row, column) = place(&same[0]);
+            csr.row_ptr[row as usize + 1] += 1;
+            csr.col_idx.push(column);
+            csr.values.push(same.iter().map(|&k| triplets[k as usize].2).sum());
+        }
+        for i in 0..rows {
+            csr.row_ptr[i + 1] += csr.row_ptr[i];
         }
         Ok(csr)
     }

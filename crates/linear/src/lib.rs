@@ -22,6 +22,7 @@
 //! the explicit [`Par`] argument. Indices are `u32`: at most 2³¹ − 1 unknowns, matrix entries, and
 //! factor entries.
 
+mod buffer;
 mod cholesky;
 mod csr;
 mod error;

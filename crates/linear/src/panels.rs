@@ -16,7 +16,6 @@ use faer::{Accum, MatMut, MatRef, Par};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::error::Error;
 use crate::tiles::Triangle;
 
 /// Multiplications per update of one panel by another from which faer's parallel kernels pay:
@@ -438,8 +437,8 @@ impl Panels {
     }
 
     /// The factor of the trailing unknowns, L22.
-    pub(crate) fn trailing_factor(&self, factor: &[f64]) -> Result<Triangle, Error> {
-        let mut lower = Triangle::identity_border(self.len - self.split)?;
+    pub(crate) fn trailing_factor(&self, factor: &[f64]) -> Triangle {
+        let mut lower = Triangle::identity_border(self.len - self.split);
         for (column, top, below, rows) in self.trailing_columns(factor) {
             for (i, &v) in top.iter().enumerate() {
                 lower.set(column + i, column, v as f32);
@@ -448,7 +447,7 @@ impl Panels {
                 lower.set(row as usize - self.split, column, v as f32);
             }
         }
-        Ok(lower)
+        lower
     }
 
     /// y += L22 L22ᵀ x, reading the factor once. Threads share the columns, in parts that the factor alone decides.

@@ -4,9 +4,10 @@
 //! blocks, and the pattern couples whole blocks, so the entries that a block `a` has in the columns
 //! of a block `b` form a run in each column: a single search finds the place of a dense sub-block.
 
-use std::ops::Range;
+use std::ops::{Deref, Range};
 use std::sync::Arc;
 
+use crate::buffer::Buffer;
 use crate::error::{Error, check_index, check_len, index};
 use crate::graph::BlockGraph;
 use crate::ordering::Ordering;
@@ -119,13 +120,14 @@ impl Pattern {
 
     /// Column pointers (length `len() + 1`) and row positions (length `entries()`, ascending in each
     /// column) of the lower triangle, which are made anew at each call.
-    pub fn lower(&self) -> (&[u32], Vec<u32>) {
-        let mut rows = Vec::with_capacity(self.entries());
+    pub fn lower(&self) -> (&[u32], impl Deref<Target = [u32]> + use<>) {
+        let mut rows = Buffer::zeros(self.entries());
+        let mut places = rows.iter_mut();
         for p in 0..self.place.len() {
             for column in self.start[p]..self.start[p + 1] {
-                for q in self.list_of(p) {
-                    rows.extend(self.start[*q as usize].max(column)..self.start[*q as usize + 1]);
-                }
+                let lists = self.list_of(p).iter().map(|q| (self.start[*q as usize], self.start[*q as usize + 1]));
+                let own = lists.flat_map(|(start, end)| start.max(column)..end);
+                own.zip(&mut places).for_each(|(row, place)| *place = row);
             }
         }
         (&self.col_ptr, rows)
@@ -248,13 +250,13 @@ impl Columns<'_> {
 #[derive(Clone, Debug)]
 pub struct SparseSymmetric {
     pattern: Arc<Pattern>,
-    values: Vec<f64>,
+    values: Buffer<f64>,
 }
 
 impl SparseSymmetric {
     /// The zero matrix on a pattern.
     pub fn zeros(pattern: Arc<Pattern>) -> Self {
-        let values = vec![0.0; pattern.entries()];
+        let values = Buffer::zeros(pattern.entries());
         Self { pattern, values }
     }
 

@@ -14,11 +14,10 @@ use std::ops::Range;
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
-use memmap2::MmapMut;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use crate::error::Error;
+use crate::buffer::Buffer;
 
 /// Rows of a tile: three fit into a cache of the second level.
 const TILE: usize = 128;
@@ -179,49 +178,31 @@ fn first(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
-/// A row of tiles in memory of its own, which goes back to the system at once when the row is done with.
-#[derive(Debug)]
-struct Row(MmapMut);
-
-impl Row {
-    fn zeros(len: usize) -> Result<Self, Error> {
-        MmapMut::map_anon(len * size_of::<f32>()).map(Self).map_err(|_| Error::OutOfMemory)
-    }
-
-    fn values(&self) -> &[f32] {
-        bytemuck::cast_slice(&self.0)
-    }
-
-    fn values_mut(&mut self) -> &mut [f32] {
-        bytemuck::cast_slice_mut(&mut self.0)
-    }
-}
-
-/// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. The last row and column of
+/// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. A row that is done with is
+/// dropped. The last row and column of
 /// tiles are filled up with the identity.
 #[derive(Debug)]
 pub(crate) struct Triangle {
     len: usize,
     tile: usize,
-    rows: VecDeque<Row>,
+    rows: VecDeque<Buffer<f32>>,
 }
 
 impl Triangle {
     /// To be filled by [`set`](Self::set).
-    pub(crate) fn identity_border(len: usize) -> Result<Self, Error> {
+    pub(crate) fn identity_border(len: usize) -> Self {
         let tile = tile_rows(len);
         let rows = len.div_ceil(tile);
-        let zeros = |i| Row::zeros((i + 1) * tile * tile);
-        let mut result = Self { len, tile, rows: (0..rows).map(zeros).collect::<Result<_, _>>()? };
+        let mut result = Self { len, tile, rows: (0..rows).map(|i| Buffer::zeros((i + 1) * tile * tile)).collect() };
         (len..rows * tile).for_each(|i| result.set(i, i, 1.0));
-        Ok(result)
+        result
     }
 
     /// Sets an entry with `i` ≥ `j`, or any entry of a tile on the diagonal.
     pub(crate) fn set(&mut self, i: usize, j: usize, value: f32) {
         let t = self.tile;
         if i / t >= j / t {
-            self.rows[i / t].values_mut()[j / t * t * t + j % t * t + i % t] = value;
+            self.rows[i / t][j / t * t * t + j % t * t + i % t] = value;
         }
     }
 
@@ -229,7 +210,7 @@ impl Triangle {
     pub(crate) fn square(mut self) -> DenseSymmetric {
         let (t, size) = (self.tile, self.tile * self.tile);
         let diagonal =
-            (0..self.len).map(|i| self.rows[i / t].values().iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
+            (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
         let limit = SMALL * diagonal.fold(0.0, f32::max);
         let mut result = DenseSymmetric::with_capacity(self.len, [true, true]);
         let mut row = Vec::new();
@@ -241,7 +222,7 @@ impl Triangle {
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
                 let other = self.rows.get(j).unwrap_or(&own);
-                for (a, b) in own.values().chunks_exact(size).zip(other.values().chunks_exact(size)) {
+                for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
@@ -253,20 +234,20 @@ impl Triangle {
     }
 
     /// L becomes L⁻¹.
-    fn invert_triangle(&mut self) -> Result<(), Error> {
+    fn invert_triangle(&mut self) {
         let (t, size) = (self.tile, self.tile * self.tile);
         for i in 0..self.rows.len() {
             // Row i of L⁻¹ needs that of L and the earlier ones of L⁻¹.
-            let own = self.rows[i].values();
-            let mut row = Row::zeros(own.len())?;
+            let own = &self.rows[i];
+            let mut row = Buffer::zeros(own.len());
             let diagonal = view(&own[i * size..]);
-            row.values_mut().par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
+            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
                 if j == i {
                     out.copy_from(Mat::<f32>::identity(t, t));
                 } else {
                     for k in j..i {
-                        let (a, b) = (&own[k * size..][..size], &self.rows[k].values()[j * size..][..size]);
+                        let (a, b) = (&own[k * size..][..size], &self.rows[k][j * size..][..size]);
                         matmul(out.as_mut(), Accum::Add, view(a), view(b), -1.0, Par::Seq);
                     }
                 }
@@ -274,12 +255,11 @@ impl Triangle {
             });
             self.rows[i] = row;
         }
-        Ok(())
     }
 
     /// (L Lᵀ)⁻¹, L being this triangle.
-    pub(crate) fn inverse(mut self) -> Result<DenseSymmetric, Error> {
-        self.invert_triangle()?;
+    pub(crate) fn inverse(mut self) -> DenseSymmetric {
+        self.invert_triangle();
         let size = self.tile * self.tile;
         let mut result = DenseSymmetric::with_capacity(self.len, [false, true]);
         let (mut row, mut i) = (Vec::new(), 0);
@@ -290,7 +270,7 @@ impl Triangle {
             row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                 let mut out = view_mut(out);
                 for factor in std::iter::once(&own).chain(&self.rows) {
-                    let [a, b] = [i, j].map(|column| &factor.values()[column * size..][..size]);
+                    let [a, b] = [i, j].map(|column| &factor[column * size..][..size]);
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
@@ -298,7 +278,7 @@ impl Triangle {
             result.set_row(i, &row, f32::INFINITY);
             i += 1;
         }
-        Ok(result)
+        result
     }
 }
 
@@ -434,7 +414,7 @@ mod tests {
         });
         let llt = a.llt(faer::Side::Lower).unwrap();
         let factor = move || {
-            let mut factor = Triangle::identity_border(n).unwrap();
+            let mut factor = Triangle::identity_border(n);
             (0..n).for_each(|j| (j..n).for_each(|i| factor.set(i, j, llt.L()[(i, j)] as f32)));
             factor
         };
@@ -445,7 +425,7 @@ mod tests {
     fn from_a_factor_to_the_matrix_and_its_inverse() {
         for n in [1, 3, 5, TILE, 2 * TILE + 37, 11 * TILE] {
             let (a, factor, x) = example(n);
-            let (square, inverse) = (factor().square(), factor().inverse().unwrap());
+            let (square, inverse) = (factor().square(), factor().inverse());
             let identity = Mat::<f64>::identity(n, n);
             let exact = a.llt(faer::Side::Lower).unwrap().solve(&identity);
             for (matrix, exact) in [(&square, &a), (&inverse, &exact)] {
