@@ -121,6 +121,7 @@ impl Model {
         }
         self.check_mechanics(&mut log);
         self.check_flow(&mut log);
+        self.dim().into_iter().for_each(|dim| self.check_dimension(dim, &mut log));
         check_time(&self.time, &mut log);
         check_coupling(&self.coupling, &mut log);
         self.check_connections(&mut log);
@@ -195,11 +196,6 @@ impl Model {
         log.number(format!("{key}.biot_coefficient"), region.biot_coefficient, part, "in 0..1");
         log.number(format!("{key}.porosity"), region.porosity, |v| (0.0..1.0).contains(&v), "at least 0 and below 1");
         log.positive(format!("{key}.biot_modulus"), region.biot_modulus);
-        if let (Some(k), Some(dim)) = (&region.permeability, self.dim())
-            && let Some(problem) = k.problem(dim)
-        {
-            log.add(format!("{key}.permeability"), problem);
-        }
         let mut needed = |there: bool, unit: bool, name: &str, by: &str| {
             if unit && !there {
                 log.add(format!("{key}.{name}"), format!("this key is required: there is a [{by}]"));
@@ -270,8 +266,6 @@ impl Model {
 
     fn check_mechanics(&self, log: &mut Log) {
         let Some(mechanics) = &self.mechanics else { return };
-        let dim = self.dim();
-        let outside = |i: usize| dim.is_some_and(|dim| i >= dim);
         for (i, entry) in mechanics.displacement.iter().enumerate() {
             let key = format!("mechanics.displacement.{i}");
             if entry.on.is_empty() == entry.at.is_none() {
@@ -280,23 +274,12 @@ impl Model {
             if entry.components().next().is_none() {
                 log.add(key.clone(), "at least one of x, y and z is required");
             }
-            for (_, name, _) in entry.components().filter(|c| outside(c.0)) {
-                log.add(format!("{key}.{name}"), "the mesh has two dimensions");
-            }
         }
         for (i, entry) in mechanics.traction.iter().enumerate() {
             let key = format!("mechanics.traction.{i}");
             if entry.on.is_empty() {
                 log.add(format!("{key}.on"), "at least one boundary tag is required");
             }
-            for (_, name, _) in entry.components().filter(|c| outside(c.0)) {
-                log.add(format!("{key}.{name}"), "the mesh has two dimensions");
-            }
-        }
-        if let (Some(force), Some(dim)) = (&mechanics.body_force, dim)
-            && force.len() != dim
-        {
-            log.add("mechanics.body_force", format!("{dim} components are required, not {}", force.len()));
         }
         let newton = &mechanics.newton;
         log.positive("mechanics.newton.beta_factor".into(), newton.beta_factor);
@@ -311,11 +294,6 @@ impl Model {
         log.positive("flow.fluid.viscosity".into(), flow.fluid.viscosity);
         log.not_negative("flow.fluid.density".into(), flow.fluid.density);
         log.positive("flow.fluid.bulk_modulus".into(), flow.fluid.bulk_modulus);
-        if let (Some(gravity), Some(dim)) = (&flow.gravity, self.dim())
-            && gravity.0.len() != dim
-        {
-            log.add("flow.gravity", format!("{dim} components are required, not {}", gravity.0.len()));
-        }
         for (tag, boundary) in &flow.boundary {
             let key = format!("flow.boundary.{}", quote(tag));
             match (&boundary.pressure, &boundary.inflow, &boundary.fracture_inflow) {
@@ -325,13 +303,52 @@ impl Model {
             }
         }
         for (name, well) in &flow.wells {
-            check_well(&format!("flow.wells.{}", quote(name)), well, self.dim(), log);
+            check_well(&format!("flow.wells.{}", quote(name)), well, log);
         }
     }
 
-    /// What does not fit the mesh: names on one side that the other does not have.
+    /// What has more or fewer components than the mesh has dimensions.
+    fn check_dimension(&self, dim: usize, log: &mut Log) {
+        for (name, region) in &self.regions {
+            let problem = region.permeability.as_ref().and_then(|k| k.problem(dim));
+            problem.into_iter().for_each(|p| log.add(format!("regions.{}.permeability", quote(name)), p));
+        }
+        let mut count = |key: String, found: Option<usize>| {
+            if let Some(found) = found.filter(|&found| found != dim) {
+                log.add(key, format!("{dim} numbers are required, not {found}: the mesh has {dim} dimensions"));
+            }
+        };
+        let mut outside = Vec::new();
+        if let Some(mechanics) = &self.mechanics {
+            for (i, entry) in mechanics.displacement.iter().enumerate() {
+                let key = format!("mechanics.displacement.{i}");
+                count(format!("{key}.at"), entry.at.as_ref().map(|at| at.0.len()));
+                outside.extend(entry.components().filter(|c| c.0 >= dim).map(|c| format!("{key}.{}", c.1)));
+            }
+            for (i, entry) in mechanics.traction.iter().enumerate() {
+                let beyond = entry.components().filter(|c| c.0 >= dim);
+                outside.extend(beyond.map(|c| format!("mechanics.traction.{i}.{}", c.1)));
+            }
+            count("mechanics.body_force".into(), mechanics.body_force.as_ref().map(Vec::len));
+        }
+        if let Some(flow) = &self.flow {
+            count("flow.gravity".into(), flow.gravity.as_ref().map(|gravity| gravity.0.len()));
+            for (name, well) in &flow.wells {
+                for (kind, point) in [("cell", &well.cell), ("fracture_face", &well.fracture_face)] {
+                    count(format!("flow.wells.{}.{kind}", quote(name)), point.as_ref().map(|point| point.0.len()));
+                }
+            }
+        }
+        outside.into_iter().for_each(|key| log.add(key, "the mesh has two dimensions"));
+    }
+
+    /// What does not fit the mesh: names on one side that the other does not have, and, where only the mesh tells its dimension,
+    /// what has not as many components.
     pub(crate) fn mesh_problems(&self, mesh: &Mesh) -> Vec<(String, String)> {
         let mut log = Log::default();
+        if self.dim().is_none() {
+            self.check_dimension(mesh.dim(), &mut log);
+        }
         let data = mesh.data();
         let known = |names: &[String]| {
             if names.is_empty() { "the mesh has none".into() } else { format!("the mesh has {}", names.join(", ")) }
@@ -483,7 +500,7 @@ fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
     }
 }
 
-fn check_well(key: &str, well: &Well, dim: Option<usize>, log: &mut Log) {
+fn check_well(key: &str, well: &Well, log: &mut Log) {
     let mut one = |a: bool, b: bool, names: &str| {
         if a == b {
             log.add(key, format!("exactly one of {names} is required"));
@@ -497,13 +514,6 @@ fn check_well(key: &str, well: &Well, dim: Option<usize>, log: &mut Log) {
     }
     log.positive(format!("{key}.index"), well.index);
     log.positive(format!("{key}.radius"), well.radius);
-    for (name, point) in [("cell", &well.cell), ("fracture_face", &well.fracture_face)] {
-        if let (Some(point), Some(dim)) = (point, dim)
-            && point.0.len() != dim
-        {
-            log.add(format!("{key}.{name}"), format!("{dim} numbers are required, not {}", point.0.len()));
-        }
-    }
 }
 
 fn check_time(time: &Time, log: &mut Log) {

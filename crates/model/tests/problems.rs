@@ -306,6 +306,45 @@ fn what_is_wrong_with_the_mesh_has_its_place() {
     );
 }
 
+/// The dimension is that of the mesh, whether the model tells it or a file.
+#[test]
+fn vectors_have_as_many_components_as_the_mesh_dimensions() {
+    let changes = [
+        "mechanics.traction = [{ on = ['top'], z = 1 }]",
+        "mechanics.displacement = [{ at = [0, 0, 1], x = 0, z = 0 }]",
+        "mechanics.body_force = [1, 2, 3]",
+        "flow.gravity = [0, 0, -9.81]",
+        "flow.wells.w = { cell = [0, 0, 0], rate = 1, radius = 1 }",
+        "regions.rock.permeability = [1, 2, 3]",
+    ];
+    let found = problems(GOOD, &changes);
+    let number = "2 numbers are required, not 3: the mesh has 2 dimensions";
+    let wanted = [
+        ("mechanics.traction.0.z", "the mesh has two dimensions"),
+        ("mechanics.displacement.0.at", number),
+        ("mechanics.displacement.0.z", "the mesh has two dimensions"),
+        ("mechanics.body_force", number),
+        ("flow.gravity", number),
+        ("flow.wells.w.cell", number),
+        ("regions.rock.permeability", "2 numbers"),
+    ];
+    assert_eq!(found.len(), wanted.len(), "{found:#?}");
+    for (line, (key, message)) in found.iter().zip(wanted) {
+        assert!(line.contains(&format!(" {key}: ")) && line.contains(message), "{key}: {line}");
+    }
+    let text = GOOD.replace("[mesh.box]\nlow = [0, 0]\nhigh = [1, 1]\ncells = [4, 4]", "[mesh]\nfile = 'a.msh'");
+    let document = Document::read("model.toml", &text, &[], &changes).unwrap();
+    let read = |_: &Path, _: Option<&model::CornerPoint>| {
+        Ok(mesh::generate::cartesian(mesh::Vec3::ZERO, mesh::Vec3::ONE, [2, 2, 0]))
+    };
+    match document.mesh(Path::new("."), &read) {
+        Err(ModelError::Invalid(problems)) => {
+            assert_eq!(problems.0.iter().map(ToString::to_string).collect::<Vec<_>>(), found);
+        }
+        other => panic!("{:?}", other.map(drop)),
+    }
+}
+
 #[test]
 fn contact_apertures_are_positive_on_all_faces() {
     let law = |aperture: &str| {
