@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use mechanics_fmu::{Bubbles, ContactState, FractureLaw, Friction, Mechanics, Neumann, Partner, State};
+use mechanics_fmu::{
+    Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, Partner, State,
+};
+use mesh::generate::cartesian;
 use mesh::{Mesh, Vec3};
 
 use crate::common::{
@@ -106,6 +109,37 @@ fn linear_displacement_with_fractures_tied_by_cohesion() {
         press(family, &mesh(fractured(family)), Bubbles::OneSided, &coulomb(0.0, 1e12));
         let law = FractureLaw { friction: Friction::Tresca { bound: 1e12 }, ..coulomb(0.0, 0.0) };
         press(family, &mesh(fractured(family)), Bubbles::TwoSided, &law);
+    }
+}
+
+/// A column of two rocks between rollers under a load and a pressure: strain (−load + b p)/E_oed in each.
+#[test]
+fn layers_have_their_own_rock() {
+    let mut data = cartesian(Vec3::ZERO, Vec3::ONE, [1, 1, 4]);
+    data.assign_regions(|x| (x.z > 0.5).then_some("sand"));
+    let mesh = mesh(data);
+    let mut model = model(&mesh, &coulomb(0.0, 0.0));
+    let sand = Material { young_modulus: 2e9, poisson_ratio: 0.35, biot_coefficient: 0.9 };
+    model.materials.insert("sand".into(), sand);
+    for (tag, component) in [("left", 0), ("right", 0), ("front", 1), ("back", 1), ("bottom", 2)] {
+        model.dirichlet.push(Dirichlet::zero(tag, component));
+    }
+    let (load, pressure) = (3e6, 1e6);
+    model.neumann.push(Neumann { tag: "top".into(), traction: Arc::new(move |_, _| Vec3::new(0.0, 0.0, -load)) });
+    let mut mechanics = start(&mesh, model);
+    let rest = mechanics.rest(0.0);
+    let partner = Partner::uniform(&mesh, pressure);
+    let (state, _) = step(&mut mechanics, &rest, 1.0, &partner);
+    let stress = mechanics.stress(&state, &partner.matrix_pressure).unwrap();
+    let (porosity, compliance) = (mechanics.porosity_change(&state), mechanics.porosity_compliance());
+    for (cell, center) in mesh.geometry().cell_center.iter().enumerate() {
+        let m = if center.z > 0.5 { sand } else { rock() };
+        let b = m.biot_coefficient;
+        let wanted = b * (-load + b * pressure) / (m.lambda() + 2.0 * m.mu());
+        assert!((porosity[cell] - wanted).abs() < 1e-11 * wanted.abs(), "{center}: {}, not {wanted}", porosity[cell]);
+        assert!((stress[cell][2] + load).abs() < 1e-9 * load, "{center}: {:?}", stress[cell]);
+        let wanted = b * b / (m.lambda() + 2.0 * m.mu() / 3.0);
+        assert!((compliance[cell] - wanted).abs() < 1e-14 * wanted, "{center}: {}, not {wanted}", compliance[cell]);
     }
 }
 
