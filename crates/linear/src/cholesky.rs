@@ -137,7 +137,7 @@ impl Forward {
 /// does not depend on their number.
 pub struct Cholesky {
     symbolic: Arc<Symbolic>,
-    factor: Vec<f64>,
+    factor: Buffer<f64>,
     par: Par,
     valid: bool,
 }
@@ -164,8 +164,12 @@ impl Cholesky {
     /// [`Error::PatternMismatch`], [`Error::NonFinite`], [`Error::NotPositiveDefinite`],
     /// [`Error::Inaccurate`], [`Error::OutOfMemory`].
     pub fn new(symbolic: &Arc<Symbolic>, a: &SparseSymmetric, par: Par) -> Result<Self, Error> {
-        let mut result =
-            Self { factor: vec![0.0; symbolic.factor_entries()], symbolic: Arc::clone(symbolic), par, valid: false };
+        let mut result = Self {
+            factor: Buffer::zeros(symbolic.factor_entries()),
+            symbolic: Arc::clone(symbolic),
+            par,
+            valid: false,
+        };
         result.refactorise(a)?;
         Ok(result)
     }
@@ -304,7 +308,7 @@ impl Cholesky {
         }
         let y = MatMut::from_column_major_slice_mut(&mut permuted[..], n, k);
         let panels = &self.symbolic.panels;
-        panels.solve_many(&self.factor, y, self.par, work.buffer());
+        panels.solve_many(&self.factor, y, self.par, work);
         for (j, column) in permuted.chunks_exact(n.max(1)).enumerate() {
             for (p, &u) in column.iter().zip(order) {
                 x[(u as usize, j)] = *p;

@@ -16,6 +16,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
+use crate::buffer::Buffer;
 use crate::tiles::Triangle;
 
 /// Multiplications per update of one panel by another from which faer's parallel kernels pay:
@@ -101,15 +102,22 @@ pub(crate) struct Panels {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Work {
     /// One column of the tallest panel per subtree.
-    columns: Vec<f64>,
+    columns: Buffer<f64>,
     /// Contributions of each subtree to `top`, or the values there.
-    above: Vec<f64>,
+    above: Buffer<f64>,
 }
 
 impl Work {
-    /// A buffer of any length and content.
-    pub(crate) fn buffer(&mut self) -> &mut Vec<f64> {
-        &mut self.columns
+    /// A buffer of some length and any content.
+    fn buffer(&mut self, len: usize) -> &mut [f64] {
+        grow(&mut self.columns, len);
+        &mut self.columns[..len]
+    }
+}
+
+fn grow(buffer: &mut Buffer<f64>, len: usize) {
+    if buffer.len() < len {
+        *buffer = Buffer::zeros(len);
     }
 }
 
@@ -249,8 +257,8 @@ impl Panels {
 
     fn resize(&self, work: &mut Work) {
         let tasks = self.subtrees.len();
-        work.columns.resize((tasks + 1) * self.tallest, 0.0);
-        work.above.resize((tasks + 1) * self.top.len(), 0.0);
+        grow(&mut work.columns, (tasks + 1) * self.tallest);
+        grow(&mut work.above, tasks.max(1) * self.top.len());
     }
 
     /// x ← L⁻¹ x for all unknowns; if only `leading`, [y_u; b_g − L21 y_u] with y_u = L11⁻¹ b_u.
@@ -259,7 +267,7 @@ impl Panels {
         let Work { columns, above } = work;
         let n_top = self.top.len();
         let (column, columns) = columns.split_at_mut(self.tallest);
-        let (_, above) = above.split_at_mut(n_top);
+        let above = &mut above[..self.subtrees.len() * n_top];
         self.forward_subtrees(factor, &self.subtrees, (x, 0), columns, above, par);
         for above in above.chunks_exact(n_top.max(1)) {
             for (&unknown, a) in self.top.iter().zip(above) {
@@ -400,11 +408,10 @@ impl Panels {
         }
     }
 
-    /// X ← A⁻¹ X for several right-hand sides, `buffer` holding `tallest × X.ncols()` values.
-    pub(crate) fn solve_many(&self, factor: &[f64], mut x: MatMut<'_, f64>, par: Par, buffer: &mut Vec<f64>) {
+    /// X ← A⁻¹ X for several right-hand sides.
+    pub(crate) fn solve_many(&self, factor: &[f64], mut x: MatMut<'_, f64>, par: Par, work: &mut Work) {
         let k = x.ncols();
-        buffer.resize(self.tallest * k, 0.0);
-        let buffer = &mut buffer[..];
+        let buffer = work.buffer(self.tallest * k);
         for panel in &self.panels {
             let (triangle, below) = panel.view(factor).split_at_row(panel.cols);
             let mut own = x.rb_mut().subrows_mut(panel.start, panel.cols);

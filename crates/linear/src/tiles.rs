@@ -25,6 +25,8 @@ const TILE: usize = 128;
 const SMALL: f32 = 0.03;
 /// Columns of a tile that a product handles together.
 const GROUP: usize = 4;
+/// Tiles that are computed before they are packed.
+const TILES_AT_A_TIME: usize = 8;
 /// A product is cut into at most so many parts, of at least so many tiles.
 const PARTS: usize = 8;
 const TILES_PER_PART: usize = 16;
@@ -65,14 +67,16 @@ impl DenseSymmetric {
         let t = result.tile;
         let padded = |i: usize, j: usize| if i < len { entry(i, j) } else { f32::from(i == j) };
         for i in 0..len.div_ceil(t) {
-            let places = (0..=i).flat_map(|j| (0..t * t).map(move |k| (i * t + k % t, j * t + k / t)));
-            let row: Vec<f32> = places.map(|(i, j)| padded(i.max(j), i.min(j))).collect();
-            result.set_row(i, &row, 0.0);
+            for j in 0..=i {
+                let places = (0..t * t).map(|k| (i * t + k % t, j * t + k / t));
+                let values: Vec<f32> = places.map(|(i, j)| padded(i.max(j), i.min(j))).collect();
+                result.set_tile((i, j), &values, 0.0);
+            }
         }
         result
     }
 
-    /// To be filled by [`set_row`](Self::set_row). `tiles` tells whether those off the diagonal may be single, and packed.
+    /// To be filled. `tiles` tells whether those off the diagonal may be single, and packed.
     fn with_capacity(len: usize, tiles: [bool; 2]) -> Self {
         let tile = tile_rows(len);
         let (rows, size) = (len.div_ceil(tile), tile * tile);
@@ -87,19 +91,30 @@ impl DenseSymmetric {
         }
     }
 
-    /// Sets the tiles of row `i`, the last of which is on the diagonal; others without an entry above `limit` are packed.
-    fn set_row(&mut self, i: usize, row: &[f32], limit: f32) {
+    /// Sets tile (i, j); one off the diagonal without an entry above `limit` is packed.
+    fn set_tile(&mut self, (i, j): (usize, usize), values: &[f32], limit: f32) {
         const LARGEST: f32 = i16::MAX as f32;
-        for (j, values) in row.chunks_exact(self.tile * self.tile).enumerate() {
-            let largest = values.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
-            self.tiles[first(i) + j] = if i == j || largest > limit {
-                self.single.extend_from_slice(values);
-                Tile::Single { start: self.single.len() - values.len() }
-            } else {
-                let by = if largest > 0.0 { LARGEST / largest } else { 0.0 };
-                self.packed.extend(values.iter().map(|v| (v * by).round() as i16));
-                Tile::Packed { start: self.packed.len() - values.len(), scale: largest / LARGEST }
-            };
+        let largest = values.iter().fold(0.0f32, |largest, v| largest.max(v.abs()));
+        self.tiles[first(i) + j] = if i == j || largest > limit {
+            self.single.extend_from_slice(values);
+            Tile::Single { start: self.single.len() - values.len() }
+        } else {
+            let by = if largest > 0.0 { LARGEST / largest } else { 0.0 };
+            self.packed.extend(values.iter().map(|v| (v * by).round() as i16));
+            Tile::Packed { start: self.packed.len() - values.len(), scale: largest / LARGEST }
+        };
+    }
+
+    /// Sets the tiles of row `i` from what `compute` adds to zeros for tile (i, j), several at a time.
+    fn set_row(&mut self, i: usize, limit: f32, compute: impl Fn(usize, &mut [f32]) + Sync) {
+        let size = self.tile * self.tile;
+        let mut tiles = vec![0.0; size * TILES_AT_A_TIME.min(i + 1)];
+        for start in (0..=i).step_by(TILES_AT_A_TIME) {
+            let tiles = &mut tiles[..size * TILES_AT_A_TIME.min(i + 1 - start)];
+            tiles.fill(0.0);
+            tiles.par_chunks_exact_mut(size).enumerate().for_each(|(k, tile)| compute(start + k, tile));
+            let numbered = tiles.chunks_exact(size).zip(start..);
+            numbered.for_each(|(tile, j)| self.set_tile((i, j), tile, limit));
         }
     }
 
@@ -213,21 +228,15 @@ impl Triangle {
             (0..self.len).map(|i| self.rows[i / t].iter().skip(i % t).step_by(t).map(|v| v * v).sum::<f32>());
         let limit = SMALL * diagonal.fold(0.0, f32::max);
         let mut result = DenseSymmetric::with_capacity(self.len, [true, true]);
-        let mut row = Vec::new();
         // Row i of L Lᵀ needs the rows up to i of L: from the last on, L makes room for it.
         while let Some(own) = self.rows.pop_back() {
-            let i = self.rows.len();
-            row.clear();
-            row.resize((i + 1) * size, 0.0);
-            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
+            result.set_row(self.rows.len(), limit, |j, out| {
                 let mut out = view_mut(out);
                 let other = self.rows.get(j).unwrap_or(&own);
                 for (a, b) in own.chunks_exact(size).zip(other.chunks_exact(size)) {
                     matmul(out.as_mut(), Accum::Add, view(a), view(b).transpose(), 1.0, Par::Seq);
                 }
             });
-            drop(own);
-            result.set_row(i, &row, limit);
         }
         result.shrink();
         result
@@ -262,20 +271,16 @@ impl Triangle {
         self.invert_triangle();
         let size = self.tile * self.tile;
         let mut result = DenseSymmetric::with_capacity(self.len, [false, true]);
-        let (mut row, mut i) = (Vec::new(), 0);
+        let mut i = 0;
         // Row i of NᵀN, N = L⁻¹, needs the rows from i on of N, which makes room for it.
         while let Some(own) = self.rows.pop_front() {
-            row.clear();
-            row.resize((i + 1) * size, 0.0);
-            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
+            result.set_row(i, f32::INFINITY, |j, out| {
                 let mut out = view_mut(out);
                 for factor in std::iter::once(&own).chain(&self.rows) {
                     let [a, b] = [i, j].map(|column| &factor[column * size..][..size]);
                     matmul(out.as_mut(), Accum::Add, view(a).transpose(), view(b), 1.0, Par::Seq);
                 }
             });
-            drop(own);
-            result.set_row(i, &row, f32::INFINITY);
             i += 1;
         }
         result
