@@ -127,6 +127,21 @@ fn boxes_are_cut_into_simplices() {
     assert_eq!(error.problems, [InputProblem::NotConvex { cell: 0 }]);
 }
 
+#[test]
+fn regions_go_with_their_cells() {
+    let mut data = cartesian(Vec3::ZERO, Vec3::ONE, [2, 4, 0]);
+    data.assign_regions(|x| (x.y > 0.7).then_some("cap"));
+    let plane = Mesh::new(data).unwrap();
+    let prisms = Mesh::new(extrude(&plane, &[0.0, 0.5, 2.0], |_, _| true).unwrap()).unwrap();
+    let cut = |mesh: &Mesh| Mesh::new(simplices(mesh).unwrap()).unwrap();
+    for (mesh, wanted) in [(cut(&plane), 0.25), (cut(&prisms), 0.5), (prisms, 0.5)] {
+        let cells: Vec<usize> = mesh.region_cells("cap").collect();
+        let volume: f64 = cells.iter().map(|&cell| mesh.geometry().cell_measure[cell]).sum();
+        assert!((volume - wanted).abs() < 1e-14, "{volume}");
+        assert!(cells.iter().all(|&cell| mesh.geometry().cell_center[cell].y > 0.75));
+    }
+}
+
 fn four_fractures(h: f64, far: f64) -> Triangles<'static> {
     Triangles::rectangle([0.0, 0.0], [1.0, 1.0], far)
         .fracture("1", &[[0.1, 0.5], [0.9, 0.5]], h)
