@@ -7,6 +7,10 @@ use std::ops::{Deref, DerefMut};
 use bytemuck::Pod;
 use memmap2::MmapMut;
 
+/// Bytes from which large pages are worth their making.
+#[cfg(target_os = "linux")]
+const LARGE: usize = 1 << 24;
+
 /// An array in pages of its own, which go back to the system when it is dropped. What the allocator gets back it often keeps:
 /// beside the factor that would count.
 #[derive(Debug)]
@@ -25,7 +29,9 @@ impl<T: Pod> Buffer<T> {
             Ok(pages) => {
                 // Fewer faults and misses of the translation buffer, if the system has large pages; as good without.
                 #[cfg(target_os = "linux")]
-                pages.advise(memmap2::Advice::HugePage).ok();
+                if layout.size() >= LARGE {
+                    pages.advise(memmap2::Advice::HugePage).ok();
+                }
                 Self { pages, len, of: PhantomData }
             }
             Err(_) => handle_alloc_error(layout),

@@ -182,6 +182,8 @@ pub struct Columns<'a> {
     /// Number of the first value.
     first: usize,
     values: &'a mut [f64],
+    /// The blocks of a cell: place, first position, and rows of the local matrix.
+    cell: Vec<(u32, usize, Range<usize>)>,
 }
 
 impl Columns<'_> {
@@ -202,45 +204,36 @@ impl Columns<'_> {
     /// [`Error::Dimension`], [`Error::OutOfRange`], or [`Error::NotInPattern`]; earlier sub-blocks
     /// of the same call may then have been added.
     pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
-        let Self { pattern, places, first, values } = self;
+        let Self { pattern, places, first, values, cell } = self;
+        cell.clear();
         let mut width = 0;
         for &block in blocks {
             check_index("block", block as usize, pattern.place.len())?;
-            width += pattern.positions(pattern.place[block as usize]).len();
+            let place = pattern.place[block as usize];
+            let positions = pattern.positions(place);
+            cell.push((place, positions.start, width..width + positions.len()));
+            width += positions.len();
         }
         check_len("local matrix", width * width, local.len())?;
-        let mut at_column = 0;
-        for &b in blocks {
-            let p = pattern.place[b as usize];
-            let own = pattern.positions(p);
-            if !places.contains(&(p as usize)) {
-                at_column += own.len();
+        for (b, (p, position, columns)) in cell.iter().enumerate() {
+            if !places.contains(&(*p as usize)) {
                 continue;
             }
-            let (begin, list) = (pattern.list_ptr[p as usize] as usize, pattern.list_of(p as usize));
-            let mut at_row = 0;
-            for &a in blocks {
-                let q = pattern.place[a as usize];
-                let rows = pattern.positions(q);
-                if q >= p {
-                    let found = list
-                        .binary_search(&q)
-                        .map_err(|_| Error::NotInPattern { row: a.max(b) as usize, column: a.min(b) as usize })?;
-                    let offset = pattern.offset[begin + found] as usize;
-                    for c in 0..own.len() {
-                        // Within the diagonal block, column c starts at its own row.
-                        let skip = if p == q { c } else { 0 };
-                        let start = pattern.col_ptr[own.start + c] as usize + offset + skip - c - *first;
-                        let values = &mut values[start..start + rows.len() - skip];
-                        let from = (at_column + c) * width + at_row + skip;
-                        for (value, add) in values.iter_mut().zip(&local[from..from + rows.len() - skip]) {
-                            *value += add;
-                        }
-                    }
+            let (begin, list) = (pattern.list_ptr[*p as usize] as usize, pattern.list_of(*p as usize));
+            for (a, (q, _, rows)) in cell.iter().enumerate().filter(|(_, (q, ..))| q >= p) {
+                let Ok(found) = list.binary_search(q) else {
+                    let [a, b] = [blocks[a] as usize, blocks[b] as usize];
+                    return Err(Error::NotInPattern { row: a.max(b), column: a.min(b) });
+                };
+                let offset = pattern.offset[begin + found] as usize;
+                for (c, column) in columns.clone().enumerate() {
+                    // Within the diagonal block, column c starts at its own row.
+                    let skip = if p == q { c } else { 0 };
+                    let start = pattern.col_ptr[position + c] as usize + offset + skip - c - *first;
+                    let add = &local[column * width + rows.start + skip..column * width + rows.end];
+                    values[start..start + add.len()].iter_mut().zip(add).for_each(|(value, add)| *value += add);
                 }
-                at_row += rows.len();
             }
-            at_column += own.len();
         }
         Ok(())
     }
@@ -250,13 +243,13 @@ impl Columns<'_> {
 #[derive(Clone, Debug)]
 pub struct SparseSymmetric {
     pattern: Arc<Pattern>,
-    values: Buffer<f64>,
+    values: Vec<f64>,
 }
 
 impl SparseSymmetric {
     /// The zero matrix on a pattern.
     pub fn zeros(pattern: Arc<Pattern>) -> Self {
-        let values = Buffer::zeros(pattern.entries());
+        let values = vec![0.0; pattern.entries()];
         Self { pattern, values }
     }
 
@@ -296,7 +289,8 @@ impl SparseSymmetric {
     /// As there.
     pub fn add(&mut self, blocks: &[u32], local: &[f64]) -> Result<(), Error> {
         let places = 0..self.pattern.place.len();
-        Columns { pattern: &self.pattern, places, first: 0, values: &mut self.values }.add(blocks, local)
+        Columns { pattern: &self.pattern, places, first: 0, values: &mut self.values, cell: Vec::new() }
+            .add(blocks, local)
     }
 
     /// The columns in so many parts of about as many entries, for threads to fill: if each adds all cells that
@@ -316,7 +310,7 @@ impl SparseSymmetric {
                 }
                 let until = pattern.first_entry(end);
                 let (values, after) = std::mem::take(&mut rest).split_at_mut(until - first);
-                let columns = Columns { pattern, places: start..end, first, values };
+                let columns = Columns { pattern, places: start..end, first, values, cell: Vec::new() };
                 (rest, start, first) = (after, end, until);
                 columns
             })
