@@ -338,7 +338,6 @@ impl FractureProblem<'_, '_> {
         };
         let mut laws = self.linearise(data, &at);
         for law in &mut laws {
-            law.constant = [0.0; 3];
             law.given = law.given.map(|value| value.map(|_| 0.0));
         }
         let force: Vec<f64> = change.iter().map(|f| -f).collect();
