@@ -312,8 +312,11 @@ impl Cells<'_> {
     /// copied.
     fn add_stiffness(&self, fixed: &[Fixed], stiffness: &mut SparseSymmetric) -> Result<Csr, linear::Error> {
         let row_of = |unknown: u32| fixed.partition_point(|f| f.unknown < unknown as usize) as u32;
-        let parts = stiffness.columns(rayon::current_num_threads()).into_par_iter().map(|mut columns| {
-            let (mut local, mut free, mut rows) = (Local::default(), Vec::new(), Vec::new());
+        // Made here, so that the memory of threads does not grow.
+        let with_rows = |columns| (columns, Vec::with_capacity(1024));
+        let parts: Vec<_> = stiffness.columns(rayon::current_num_threads()).into_iter().map(with_rows).collect();
+        let parts = parts.into_par_iter().map(|(mut columns, mut rows)| {
+            let (mut local, mut free) = (Local::default(), Vec::new());
             for cell in 0..self.mesh.cell_count() {
                 self.fill_numbers(cell, &mut local);
                 if !columns.concern(&local.unknowns.entities) {

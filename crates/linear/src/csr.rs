@@ -22,25 +22,34 @@ impl Csr {
     pub fn from_triplets(rows: usize, cols: usize, triplets: &[(u32, u32, f64)]) -> Result<Self, Error> {
         index(rows)?;
         index(cols)?;
+        index(triplets.len())?;
+        let mut start = vec![0u32; rows + 1];
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
             check_index("column", j as usize, cols)?;
             if !v.is_finite() {
                 return Err(Error::NonFinite { row: i as usize, column: j as usize });
             }
-        }
-        let mut order: Vec<u32> = (0..index(triplets.len())?).collect();
-        let place = |k: &u32| (triplets[*k as usize].0, triplets[*k as usize].1);
-        order.sort_by_key(place);
-        let mut csr = Self { cols, row_ptr: vec![0; rows + 1], col_idx: Vec::new(), values: Vec::new() };
-        for same in order.chunk_by(|a, b| place(a) == place(b)) {
-            let (row, column) = place(&same[0]);
-            csr.row_ptr[row as usize + 1] += 1;
-            csr.col_idx.push(column);
-            csr.values.push(same.iter().map(|&k| triplets[k as usize].2).sum());
+            start[i as usize + 1] += 1;
         }
         for i in 0..rows {
-            csr.row_ptr[i + 1] += csr.row_ptr[i];
+            start[i + 1] += start[i];
+        }
+        let mut by_row = vec![(0, 0.0); triplets.len()];
+        let mut next = start.clone();
+        for &(i, j, v) in triplets {
+            by_row[next[i as usize] as usize] = (j, v);
+            next[i as usize] += 1;
+        }
+        let mut csr = Self { cols, row_ptr: vec![0], col_idx: Vec::new(), values: Vec::new() };
+        for range in start.windows(2) {
+            let row = &mut by_row[range[0] as usize..range[1] as usize];
+            row.sort_by_key(|&(j, _)| j);
+            for same in row.chunk_by(|a, b| a.0 == b.0) {
+                csr.col_idx.push(same[0].0);
+                csr.values.push(same.iter().map(|(_, v)| v).sum());
+            }
+            csr.row_ptr.push(csr.col_idx.len() as u32);
         }
         Ok(csr)
     }
