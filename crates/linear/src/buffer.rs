@@ -9,7 +9,7 @@ use memmap2::MmapMut;
 
 /// Bytes from which large pages are worth their making.
 #[cfg(target_os = "linux")]
-const LARGE: usize = 1 << 24;
+const LARGE: usize = 1 << 21;
 
 /// An array in pages of its own, which go back to the system when it is dropped. What the allocator gets back it often keeps:
 /// beside the factor that would count.

@@ -137,7 +137,7 @@ impl Forward {
 /// does not depend on their number.
 pub struct Cholesky {
     symbolic: Arc<Symbolic>,
-    factor: Buffer<f64>,
+    factor: Vec<f64>,
     par: Par,
     valid: bool,
 }
@@ -164,12 +164,8 @@ impl Cholesky {
     /// [`Error::PatternMismatch`], [`Error::NonFinite`], [`Error::NotPositiveDefinite`],
     /// [`Error::Inaccurate`], [`Error::OutOfMemory`].
     pub fn new(symbolic: &Arc<Symbolic>, a: &SparseSymmetric, par: Par) -> Result<Self, Error> {
-        let mut result = Self {
-            factor: Buffer::zeros(symbolic.factor_entries()),
-            symbolic: Arc::clone(symbolic),
-            par,
-            valid: false,
-        };
+        let mut result =
+            Self { factor: vec![0.0; symbolic.factor_entries()], symbolic: Arc::clone(symbolic), par, valid: false };
         result.refactorise(a)?;
         Ok(result)
     }
