@@ -447,9 +447,7 @@ impl Panels {
     pub(crate) fn trailing_factor(&self, factor: &[f64]) -> Triangle {
         let mut lower = Triangle::identity_border(self.len - self.split);
         for (column, top, below, rows) in self.trailing_columns(factor) {
-            for (i, &v) in top.iter().enumerate() {
-                lower.set(column + i, column, v as f32);
-            }
+            lower.set_column(column, top);
             for (&row, &v) in rows.iter().zip(below) {
                 lower.set(row as usize - self.split, column, v as f32);
             }

@@ -221,6 +221,20 @@ impl Triangle {
         }
     }
 
+    /// Sets the entries of column `j` from its diagonal down.
+    pub(crate) fn set_column(&mut self, j: usize, values: &[f64]) {
+        let t = self.tile;
+        let mut i = j;
+        let mut rest = values;
+        while !rest.is_empty() {
+            let (own, below) = rest.split_at(rest.len().min(t - i % t));
+            let start = j / t * t * t + j % t * t + i % t;
+            let places = &mut self.rows[i / t][start..start + own.len()];
+            places.iter_mut().zip(own).for_each(|(place, &v)| *place = v as f32);
+            (i, rest) = (i + own.len(), below);
+        }
+    }
+
     /// L Lᵀ, L being this triangle.
     pub(crate) fn square(mut self) -> DenseSymmetric {
         let (t, size) = (self.tile, self.tile * self.tile);
@@ -245,24 +259,28 @@ impl Triangle {
     /// L becomes L⁻¹.
     fn invert_triangle(&mut self) {
         let (t, size) = (self.tile, self.tile * self.tile);
+        let mut tiles = vec![0.0; size * TILES_AT_A_TIME];
         for i in 0..self.rows.len() {
-            // Row i of L⁻¹ needs that of L and the earlier ones of L⁻¹.
-            let own = &self.rows[i];
-            let mut row = Buffer::zeros(own.len());
-            let diagonal = view(&own[i * size..]);
-            row.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
-                let mut out = view_mut(out);
-                if j == i {
-                    out.copy_from(Mat::<f32>::identity(t, t));
-                } else {
-                    for k in j..i {
-                        let (a, b) = (&own[k * size..][..size], &self.rows[k][j * size..][..size]);
-                        matmul(out.as_mut(), Accum::Add, view(a), view(b), -1.0, Par::Seq);
+            // Tile (i, j) of L⁻¹ needs the tiles from j on of row i of L, and the earlier rows of L⁻¹.
+            for start in (0..=i).step_by(TILES_AT_A_TIME) {
+                let tiles = &mut tiles[..size * TILES_AT_A_TIME.min(i + 1 - start)];
+                let own = &self.rows[i];
+                tiles.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
+                    let j = start + j;
+                    let mut out = view_mut(out);
+                    if j == i {
+                        out.copy_from(Mat::<f32>::identity(t, t));
+                    } else {
+                        out.fill(0.0);
+                        for k in j..i {
+                            let (a, b) = (&own[k * size..][..size], &self.rows[k][j * size..][..size]);
+                            matmul(out.as_mut(), Accum::Add, view(a), view(b), -1.0, Par::Seq);
+                        }
                     }
-                }
-                solve_lower_triangular_in_place(diagonal, out, Par::Seq);
-            });
-            self.rows[i] = row;
+                    solve_lower_triangular_in_place(view(&own[i * size..]), out, Par::Seq);
+                });
+                self.rows[i][start * size..][..tiles.len()].copy_from_slice(tiles);
+            }
         }
     }
 
