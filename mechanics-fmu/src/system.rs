@@ -147,8 +147,7 @@ impl System {
             lap
         };
         let unknown_count = dim * space.entity_count();
-        let mut is_fixed = vec![false; unknown_count];
-        fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
+        let is_fixed = are_fixed(&space, &fixed);
         let sizes: Vec<usize> =
             is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
         let free: Vec<u32> = (0..unknown_count as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
@@ -219,8 +218,7 @@ impl System {
     pub(crate) fn refactorise(&mut self, mesh: &Mesh, extra: &[f64]) -> Result<(), MechanicsError> {
         let clock = Instant::now();
         let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
-        let mut is_fixed = vec![false; self.space.dim() * self.space.entity_count()];
-        self.fixed.iter().for_each(|f| is_fixed[f.unknown] = true);
+        let is_fixed = are_fixed(&self.space, &self.fixed);
         let cells = Cells { mesh, space: &self.space, materials: &self.materials, fixed: &is_fixed, extra };
         self.fixed_rows = cells.add_stiffness(&self.fixed, &mut stiffness)?;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
@@ -369,6 +367,13 @@ impl Cells<'_> {
             },
         )
     }
+}
+
+/// Whether each unknown is prescribed.
+fn are_fixed(space: &Space, fixed: &[Fixed]) -> Vec<bool> {
+    let mut result = vec![false; space.dim() * space.entity_count()];
+    fixed.iter().for_each(|f| result[f.unknown] = true);
+    result
 }
 
 /// The prescribed unknowns, ascending.
