@@ -42,9 +42,9 @@ pub(crate) struct CellMaterial {
 /// Wall time of the parts of the set-up, and what it made.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SetupReport {
-    /// Numbering, fill-reducing order and symbolic analysis.
+    /// Numbering, fill-reducing order and symbolic analysis; beside them, on another thread, the divergence.
     pub analysis: Duration,
-    /// Local matrices and their sum.
+    /// Local stiffness matrices and their sum.
     pub assembly: Duration,
     /// Factorisation, its check included.
     pub factorisation: Duration,
@@ -151,19 +151,28 @@ impl System {
         let sizes: Vec<usize> =
             is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
         let free: Vec<u32> = (0..unknown_count as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
-        let cells = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
-        let graph = BlockGraph::with_sizes(&sizes, cells)?;
-        let jumps: Vec<u32> = (space.first_jump() as u32..space.entity_count() as u32).collect();
-        let method = if dim == 2 { Method::Amd } else { Method::Metis };
-        let pattern = Arc::new(Pattern::new(&graph, &Ordering::new(&graph, method, &jumps)?)?);
-        drop(graph);
-        let symbolic = Arc::new(Symbolic::new(&pattern)?);
+        let analyse = || {
+            let entities = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
+            let graph = BlockGraph::with_sizes(&sizes, entities)?;
+            let jumps: Vec<u32> = (space.first_jump() as u32..space.entity_count() as u32).collect();
+            let method = if dim == 2 { Method::Amd } else { Method::Metis };
+            let pattern = Pattern::new(&graph, &Ordering::new(&graph, method, &jumps)?)?;
+            drop(graph);
+            Symbolic::new(&Arc::new(pattern))
+        };
+        let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
+        // The analysis is sequential and leaves a core idle; it stays on this thread, whose memory the next stages use again.
+        let mut divergence = None;
+        let symbolic = rayon::in_place_scope(|scope| {
+            scope.spawn(|_| divergence = Some(cells.divergence()));
+            analyse()
+        });
+        let (symbolic, divergence) =
+            (Arc::new(symbolic?), divergence.transpose()?.unwrap_or_else(|| unreachable!("the scope has ended")));
 
         let analysis = lap(Stage::Analysis);
-        let mut stiffness = SparseSymmetric::zeros(pattern);
-        let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
+        let mut stiffness = SparseSymmetric::zeros(Arc::clone(symbolic.pattern()));
         let fixed_rows = cells.add_stiffness(&fixed, &mut stiffness)?;
-        let divergence = cells.divergence()?;
         let springs = if held { Vec::new() } else { spring_stiffness(mesh, &materials) };
         add_springs(&space, &springs, &mut stiffness)?;
         let assembly = lap(Stage::Assembly);

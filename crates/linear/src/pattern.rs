@@ -243,13 +243,13 @@ impl Columns<'_> {
 #[derive(Clone, Debug)]
 pub struct SparseSymmetric {
     pattern: Arc<Pattern>,
-    values: Buffer<f64>,
+    values: Vec<f64>,
 }
 
 impl SparseSymmetric {
     /// The zero matrix on a pattern.
     pub fn zeros(pattern: Arc<Pattern>) -> Self {
-        let values = Buffer::zeros(pattern.entries());
+        let values = vec![0.0; pattern.entries()];
         Self { pattern, values }
     }
 

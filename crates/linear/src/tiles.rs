@@ -25,8 +25,6 @@ const TILE: usize = 128;
 const SMALL: f32 = 0.03;
 /// Columns of a tile that a product handles together.
 const GROUP: usize = 4;
-/// Tiles that are computed before they are packed.
-const TILES_AT_A_TIME: usize = 8;
 /// A product is cut into at most so many parts, of at least so many tiles.
 const PARTS: usize = 8;
 const TILES_PER_PART: usize = 16;
@@ -108,9 +106,10 @@ impl DenseSymmetric {
     /// Sets the tiles of row `i` from what `compute` adds to zeros for tile (i, j), several at a time.
     fn set_row(&mut self, i: usize, limit: f32, compute: impl Fn(usize, &mut [f32]) + Sync) {
         let size = self.tile * self.tile;
-        let mut tiles = vec![0.0; size * TILES_AT_A_TIME.min(i + 1)];
-        for start in (0..=i).step_by(TILES_AT_A_TIME) {
-            let tiles = &mut tiles[..size * TILES_AT_A_TIME.min(i + 1 - start)];
+        let group = at_a_time();
+        let mut tiles = vec![0.0; size * group.min(i + 1)];
+        for start in (0..=i).step_by(group) {
+            let tiles = &mut tiles[..size * group.min(i + 1 - start)];
             tiles.fill(0.0);
             tiles.par_chunks_exact_mut(size).enumerate().for_each(|(k, tile)| compute(start + k, tile));
             let numbered = tiles.chunks_exact(size).zip(start..);
@@ -188,6 +187,11 @@ impl DenseSymmetric {
     }
 }
 
+/// Number of tiles that are computed before they are packed: results do not depend on it.
+fn at_a_time() -> usize {
+    2 * rayon::current_num_threads()
+}
+
 /// Number of the first tile in tile row `i`.
 fn first(i: usize) -> usize {
     i * (i + 1) / 2
@@ -259,11 +263,12 @@ impl Triangle {
     /// L becomes L⁻¹.
     fn invert_triangle(&mut self) {
         let (t, size) = (self.tile, self.tile * self.tile);
-        let mut tiles = vec![0.0; size * TILES_AT_A_TIME];
+        let group = at_a_time();
+        let mut tiles = vec![0.0; size * group];
         for i in 0..self.rows.len() {
             // Tile (i, j) of L⁻¹ needs the tiles from j on of row i of L, and the earlier rows of L⁻¹.
-            for start in (0..=i).step_by(TILES_AT_A_TIME) {
-                let tiles = &mut tiles[..size * TILES_AT_A_TIME.min(i + 1 - start)];
+            for start in (0..=i).step_by(group) {
+                let tiles = &mut tiles[..size * group.min(i + 1 - start)];
                 let own = &self.rows[i];
                 tiles.par_chunks_exact_mut(size).enumerate().for_each(|(j, out)| {
                     let j = start + j;
