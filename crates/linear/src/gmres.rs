@@ -90,7 +90,16 @@ pub fn gmres(
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    // Independent sums, since one would wait for itself.
+    const LANES: usize = 16;
+    let mut sums = [0.0; LANES];
+    let whole = a.len() / LANES * LANES;
+    for (a, b) in a.chunks_exact(LANES).zip(b.chunks_exact(LANES)) {
+        for k in 0..LANES {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    sums.iter().sum::<f64>() + a[whole..].iter().zip(&b[whole..]).map(|(a, b)| a * b).sum::<f64>()
 }
 
 fn norm(v: &[f64]) -> f64 {
