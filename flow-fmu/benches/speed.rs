@@ -157,8 +157,10 @@ fn bare(flow: &Flow) -> Bare {
     let (ptr, idx) = pattern.lower();
     let symbolic = SymbolicSparseColMatRef::new_checked(n, n, ptr, None, &idx);
     let matrix = SparseColMatRef::new(symbolic, system.values());
+    // faer 0.24 does not take a lower triangle with `SymmetricOrdering::Identity`.
+    let identity: Vec<u32> = (0..n as u32).collect();
     let (analysis, factor) = seconds(1, || {
-        let order = SymmetricOrdering::Identity;
+        let order = SymmetricOrdering::Custom(faer::perm::PermRef::new_checked(&identity, &identity, n));
         factorize_symbolic_cholesky(symbolic, Side::Lower, order, CholeskySymbolicParams::default()).unwrap()
     });
     let par = Par::rayon(0);

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::cholesky::{CholeskySymbolicParams, LltRef, SymmetricOrdering, factorize_symbolic_cholesky};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
@@ -130,10 +131,12 @@ fn bare(a: &SparseSymmetric, par: Par, t_factor: f64, t_solve: f64) {
     let n = a.len();
     let (ptr, row) = a.pattern().lower();
     let structure = SymbolicSparseColMatRef::new_checked(n, n, ptr, None, &row);
+    // faer 0.24 does not take a lower triangle with `SymmetricOrdering::Identity`.
+    let identity: Vec<u32> = (0..n as u32).collect();
     let symbolic = factorize_symbolic_cholesky(
         structure,
         Side::Lower,
-        SymmetricOrdering::Identity,
+        SymmetricOrdering::Custom(PermRef::new_checked(&identity, &identity, n)),
         CholeskySymbolicParams {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()
