@@ -185,8 +185,7 @@ impl Space {
         weight.extend_from_slice(&geometry.cell_weight[mesh.cell_vertex_lists().range(cell)]);
         weight.resize(m, 0.0);
         residual.clear();
-        // Π^K reproduces all functions of the vertices of a simplex.
-        let first = if n == self.dim + 1 { n } else { 0 };
+        let first = first_with_residual(self.dim, n);
         for (s, &v) in vertices.iter().enumerate() {
             let arm = mesh.vertices()[v] - center;
             residual.resize(s * m + first, 0.0);
@@ -303,6 +302,11 @@ fn by_cell(cells: usize, mut pairs: Vec<(usize, usize)>) -> Lists {
     (0..cells).map(own).collect()
 }
 
+/// The first function of a cell that Π^K may not reproduce: on a simplex it reproduces those of all vertices.
+fn first_with_residual(dim: usize, vertices: usize) -> usize {
+    if vertices == dim + 1 { vertices } else { 0 }
+}
+
 impl CellOperators {
     /// a_K for Lamé's parameters λ, μ (Pa), with `extra` ≥ 0 (Pa) added to λ in the consistent part only:
     /// (functions·d)² by rows.
@@ -329,14 +333,13 @@ impl CellOperators {
         let half_edge = self.diameter / (2.0 * d.sqrt());
         let penalty = 2.0 / 3.0 * (1.0 + 1.0 / d) * mu * half_edge.powi(D as i32 - 2);
         let [shear, consistent] = [volume * mu, volume * (lambda + extra)];
-        // The residuals of a simplex vanish but for its bubbles.
-        let rough = if self.vertex_count == D + 1 { self.vertex_count } else { 0 };
+        let first = first_with_residual(D, self.vertex_count);
         for i in 0..m {
             let gi = self.gradient[i].to_array();
             for j in 0..=i {
                 let gj = self.gradient[j].to_array();
                 let mut diagonal = shear * self.gradient[i].dot(self.gradient[j]);
-                if j >= rough {
+                if j >= first {
                     let mut s = f64::from(i == j && i >= self.vertex_count);
                     for row in self.residual.chunks_exact(m) {
                         s += row[i] * row[j];

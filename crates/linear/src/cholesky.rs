@@ -12,7 +12,7 @@ use faer::{MatMut, Par};
 use crate::buffer::Buffer;
 use crate::error::{Error, check_len};
 use crate::panels::{Panels, Work};
-use crate::pattern::{Pattern, SparseSymmetric};
+use crate::pattern::{Pattern, SparseSymmetric, bucket_starts};
 use crate::tiles::DenseSymmetric;
 
 /// Largest scaled residual ‖Ax − b‖ / (‖A‖ ‖x‖ + ‖b‖), in maximum norms, of the test solve after a
@@ -91,11 +91,7 @@ impl Symbolic {
 /// The upper triangle of a pattern by columns.
 fn transpose(pattern: &Pattern) -> (Vec<u32>, Buffer<u32>) {
     let (col_ptr, rows) = pattern.lower();
-    let mut ptr = vec![0u32; pattern.len() + 1];
-    rows.iter().for_each(|&i| ptr[i as usize + 1] += 1);
-    for i in 0..pattern.len() {
-        ptr[i + 1] += ptr[i];
-    }
+    let ptr = bucket_starts(pattern.len(), rows.iter().map(|&i| i as usize));
     let mut next = ptr.clone();
     let mut columns = Buffer::zeros(rows.len());
     for (j, range) in col_ptr.windows(2).enumerate() {

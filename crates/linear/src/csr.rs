@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::error::{Error, check_index, check_len, index};
+use crate::pattern::bucket_starts;
 
 /// A rectangular sparse matrix by rows, column indices ascending in each row.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,18 +24,14 @@ impl Csr {
         index(rows)?;
         index(cols)?;
         index(triplets.len())?;
-        let mut start = vec![0u32; rows + 1];
         for &(i, j, v) in triplets {
             check_index("row", i as usize, rows)?;
             check_index("column", j as usize, cols)?;
             if !v.is_finite() {
                 return Err(Error::NonFinite { row: i as usize, column: j as usize });
             }
-            start[i as usize + 1] += 1;
         }
-        for i in 0..rows {
-            start[i + 1] += start[i];
-        }
+        let start = bucket_starts(rows, triplets.iter().map(|&(i, ..)| i as usize));
         let mut by_row = vec![(0, 0.0); triplets.len()];
         let mut next = start.clone();
         for &(i, j, v) in triplets {

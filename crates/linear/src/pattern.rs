@@ -57,11 +57,7 @@ impl Pattern {
                 })
             })
         };
-        let mut list_ptr = vec![0; blocks + 1];
-        pairs().for_each(|(column, _)| list_ptr[column + 1] += 1);
-        for p in 0..blocks {
-            list_ptr[p + 1] += list_ptr[p];
-        }
+        let list_ptr = bucket_starts(blocks, pairs().map(|(column, _)| column));
         let mut next = list_ptr.clone();
         let mut list = vec![0; list_ptr[blocks] as usize];
         for (column, row) in pairs() {
@@ -172,6 +168,16 @@ impl Pattern {
         let arrays = [&self.place, &self.unknown, &self.start, &self.list_ptr, &self.list, &self.offset, &self.col_ptr];
         arrays.iter().map(|array| size_of_val(&array[..])).sum()
     }
+}
+
+/// Where each of some buckets starts in a list sorted by them, and the list's length: `of` is the bucket of each item.
+pub(crate) fn bucket_starts(buckets: usize, of: impl Iterator<Item = usize>) -> Vec<u32> {
+    let mut start = vec![0; buckets + 1];
+    of.for_each(|bucket| start[bucket + 1] += 1);
+    for bucket in 0..buckets {
+        start[bucket + 1] += start[bucket];
+    }
+    start
 }
 
 /// Some columns of a [`SparseSymmetric`] that is being assembled.

@@ -197,9 +197,8 @@ fn first(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
-/// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. A row that is done with is
-/// dropped. The last row and column of
-/// tiles are filled up with the identity.
+/// A lower triangle in single precision: rows of tiles (i, j ≤ i), those on the diagonal whole. The last row and column of
+/// tiles are filled up with the identity. A row that is done with is dropped.
 #[derive(Debug)]
 pub(crate) struct Triangle {
     len: usize,

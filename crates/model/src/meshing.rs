@@ -28,10 +28,6 @@ impl Document {
             };
             |error| ModelError::Mesh { place, error }
         };
-        let refused = |key: &str| {
-            let place = self.place(key);
-            |error| ModelError::Generator { place, error }
-        };
         // What made the present `data`.
         let mut key = source.key();
         let mut data = self.base(folder, read)?;
@@ -54,7 +50,7 @@ impl Document {
                 return Err(self.invalid("mesh.extrude.layers", &message));
             }
             key = "mesh.extrude";
-            data = extruded(&plane, extrude).map_err(refused(key))?;
+            data = extruded(&plane, extrude).map_err(self.refused(key))?;
         }
         let regions = self.marks(source.regions.iter())?;
         for cell in 0..data.cells.len() {
@@ -72,14 +68,14 @@ impl Document {
         if source.cells != Cells::AsMade {
             let cells = Mesh::new(data).map_err(unsound(key))?;
             key = "mesh.cells";
-            data = generate::simplices(&cells).map_err(refused(key))?;
+            data = generate::simplices(&cells).map_err(self.refused(key))?;
             if source.cells != Cells::Simplices {
                 let simplices = Mesh::new(data).map_err(unsound(key))?;
                 let united = match source.cells {
                     Cells::Agglomerate(n) => generate::agglomerate(&simplices, n),
                     _ => generate::dual(&simplices),
                 };
-                data = united.map_err(refused(key))?;
+                data = united.map_err(self.refused(key))?;
             }
         }
         let tags = self.marks(source.tags.iter())?;
@@ -133,16 +129,19 @@ impl Document {
                 let limit = self.place_function(limit)?;
                 triangles = triangles.size(move |x| limit.at(&Point::new(x, 0.0)));
             }
-            return triangles.build().map_err(|error| {
-                let place = self.place("mesh.triangles");
-                ModelError::Generator { place, error }
-            });
+            return triangles.build().map_err(self.refused("mesh.triangles"));
         }
         let Some(file) = source.file_read() else {
             return Err(self.invalid("mesh", "one of `box`, `triangles`, `corner_point` and `file` is required"));
         };
         let path = folder.join(file);
         read(&path, source.corner_point.as_ref()).map_err(|reason| ModelError::MeshFile { path, reason })
+    }
+
+    /// What a generator refuses, with the entry that asks for it.
+    fn refused(&self, key: &str) -> impl FnOnce(InputError) -> ModelError + use<> {
+        let place = self.place(key);
+        |error| ModelError::Generator { place, error }
     }
 }
 

@@ -59,9 +59,8 @@ impl Estimate {
             entries.map(|v| v * v).sum::<f64>().sqrt()
         };
         let largest = |size: f64| size / (1.0 - SLOWEST);
-        let mut error: Fields = fields.iter().map(|field| vec![0.0; field.len()]).collect();
+        let mut error = if newton { zeros(fields) } else { self.together(used, weight) };
         if !newton {
-            error = self.together(used, weight);
             let (size, most) = (norm(&error, used), largest(norm(residual, used)));
             if size > most {
                 error.iter_mut().flatten().for_each(|e| *e *= most / size);
@@ -97,12 +96,16 @@ impl Estimate {
             .map(|pair| flat(&difference(&pair[0][0], &pair[1][0]), &difference(&pair[0][1], &pair[1][1])))
             .collect();
         let [fields, residual] = &self.passes[0];
-        let mut error: Fields = fields.iter().map(|field| vec![0.0; field.len()]).collect();
+        let mut error = zeros(fields);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum();
         let found = flat(&error, residual).least(changes.iter(), dot).x;
         error.iter_mut().flatten().zip(found).for_each(|(e, found)| *e = found);
         error
     }
+}
+
+fn zeros(like: &Fields) -> Fields {
+    like.iter().map(|field| vec![0.0; field.len()]).collect()
 }
 
 fn difference(a: &Fields, b: &Fields) -> Fields {
