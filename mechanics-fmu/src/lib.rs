@@ -32,9 +32,7 @@ pub mod unit;
 
 pub use contact::ContactState;
 pub use error::{MechanicsError, ModelProblem};
-pub use mechanics::{
-    Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, SavedState, State, StepReport, StepTimes,
-};
+pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport, StepTimes};
 pub use model::{
     BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, Place,
 };

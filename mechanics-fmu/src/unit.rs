@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     BoundaryPoint, Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann,
-    NewtonSettings, Outcome, Partner, PartnerResponse, Place, SavedState, State,
+    NewtonSettings, Outcome, Partner, PartnerResponse, Place, State,
 };
 
 /// Contact mechanics behind the FMI.
@@ -75,7 +75,7 @@ struct Last {
 /// State in its serialised form.
 #[derive(Serialize, Deserialize)]
 struct Saved {
-    state: SavedState,
+    state: State,
     inputs: Inputs,
     last: Last,
 }
@@ -488,8 +488,7 @@ impl Unit for MechanicsUnit {
     }
 
     fn serialize(&self, state: &Now) -> Result<Vec<u8>, UnitError> {
-        let saved =
-            Saved { state: state.state.to_saved(), inputs: state.inputs.clone(), last: Last::clone(&state.last) };
+        let saved = Saved { state: state.state.clone(), inputs: state.inputs.clone(), last: Last::clone(&state.last) };
         Ok(postcard::to_stdvec(&saved)?)
     }
 

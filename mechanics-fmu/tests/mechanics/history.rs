@@ -138,10 +138,10 @@ fn a_state_of_another_mesh_is_refused() {
         hold(&mut model, 2, &["bottom"], |_, _| Vec3::ZERO);
         start(&mesh, model)
     });
-    assert!(small.load(small.rest(0.0).to_saved()).is_ok());
+    assert!(small.load(small.rest(0.0)).is_ok());
     let (rest, partner) = (large.rest(0.0), Partner::uniform(small.mesh(), 0.0));
     let errors = [
-        small.load(rest.to_saved()).map(drop),
+        small.load(rest.clone()).map(drop),
         small.step(&rest, 1.0, &partner).map(drop),
         small.response(&rest, &[0.0; 4], &[0.0; 2]).map(drop),
         small.aperture_compliance(&rest).map(drop),
