@@ -14,7 +14,7 @@
 //! - [`model`]: materials, friction laws, boundary data.
 //! - `system`: assembly and the one factorisation.
 //! - [`contact`], `newton`: the contact laws, and the semi-smooth Newton method on the fracture.
-//! - [`mechanics`]: states, steps, and what they give.
+//! - [`mechanics`]: states, steps, and what they give, a file for each concern.
 //! - [`mod@unit`]: all this as an FMI 3.0 unit; the modules above know neither FMI nor files.
 //!
 //! Deviation from the literature: the jumps are unknowns in place of the plus side's bubbles, which is the same
