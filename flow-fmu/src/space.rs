@@ -2,10 +2,10 @@
 //!
 //! | entity | count | meaning |
 //! |---|---|---|
-//! | cell K | 1, eliminated | p_K, pressure at the point x_K |
+//! | cell K | 1, eliminated | p_K, pressure at the centre of mass x_K |
 //! | facet of a face that is no fracture | 1 | p_σ, pressure at its centre |
 //! | facet of a fracture face | 2 | p_K⁺σ and p_K⁻σ, at its centre on the plus and minus side |
-//! | fracture face σ | 1 | p_f,σ, pressure in the fracture at the point x_f |
+//! | fracture face σ | 1 | p_f,σ, pressure in the fracture at the centre of mass x_f |
 //! | fracture edge e | 1 | p_e, at its middle (2D: at the vertex), one for all fracture faces that meet there |
 //!
 //! (Brenner, Hennicker, Masson, Samier, IMA J. Numer. Anal. 2016; method of the project, section 3.)
@@ -20,7 +20,7 @@ use std::ops::Range;
 
 use mesh::{Lists, Mesh, Side, Vec3};
 
-use crate::local::{Facet, point};
+use crate::local::{Facet, visibility};
 
 /// Largest distance of a vertex from the plane of its face, over the face's diameter, up to which the face counts as
 /// planar. The flux of an affine pressure is wrong by about this part; round-off of coordinates stays below it.
@@ -102,11 +102,9 @@ impl Space {
                 }
             }
             space.cell_traces.push(traces);
-            let vertices = mesh.cell_vertices(cell);
-            let mean = vertices.iter().map(|&v| mesh.vertices()[v]).sum::<Vec3>() / vertices.len() as f64;
-            let (x, sees) = point(geometry.cell_measure[cell], &[mean, geometry.cell_center[cell]], &facets);
+            let x = geometry.cell_center[cell];
             space.cell_point.push(x);
-            if !sees {
+            if visibility(geometry.cell_measure[cell], x, &facets) < 1.0 {
                 space.unseen.push(cell);
             }
         }
@@ -116,15 +114,7 @@ impl Space {
             space.edge_center.push(0.5 * (a + b));
             space.edge_length.push(if ends.len() == 1 { 1.0 } else { a.distance(b) });
         }
-        for i in 0..network.face_count() {
-            let face = network.faces[i];
-            let center = geometry.face_center[face];
-            // The centre of mass first: there the pressures on both sides are taken too.
-            let list = mesh.face_vertices(face);
-            let mean = list.iter().map(|&v| mesh.vertices()[v]).sum::<Vec3>() / list.len() as f64;
-            let (x, _) = point(fracture_measure(mesh, i), &[center, mean], &space.fracture_facets(mesh, i));
-            space.fracture_point.push(x);
-        }
+        space.fracture_point.extend(network.faces.iter().map(|&face| geometry.face_center[face]));
         space
     }
 
@@ -178,18 +168,17 @@ impl Space {
         self.facet_center[facet]
     }
 
-    /// x_K, where the pressure of a cell is taken.
+    /// x_K, where the pressure of a cell is taken: its centre of mass.
     pub fn cell_point(&self, cell: usize) -> Vec3 {
         self.cell_point[cell]
     }
 
-    /// x_f, where the pressure of a fracture face is taken.
+    /// x_f, where the pressure of a fracture face is taken: its centre of mass.
     pub fn fracture_point(&self, fracture_face: usize) -> Vec3 {
         self.fracture_point[fracture_face]
     }
 
-    /// Cells of which no point was found that sees all facets. They are discretised all the same (see the bound on
-    /// distances in the local operator), but less accurately.
+    /// Cells whose x_K does not see all facets. See the bound on distances in the local operator.
     pub fn unseen_cells(&self) -> &[usize] {
         &self.unseen
     }

@@ -81,6 +81,17 @@ fn on_polygons() {
     check("polygons", [8, 16, 32]);
 }
 
+/// Up to one in seven of these cells is not seen whole from its centre.
+#[test]
+fn on_clumps_of_24_triangles() {
+    check("large clumps of triangles", [32, 64, 128]);
+}
+
+#[test]
+fn on_clumps_of_tetrahedra() {
+    check("clumps of tetrahedra", [4, 8, 16]);
+}
+
 #[test]
 fn on_tetrahedra() {
     check("tetrahedra", [8, 16, 24]);

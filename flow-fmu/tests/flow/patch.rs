@@ -43,7 +43,7 @@ fn affine_pressure_with_a_full_tensor() {
         assert!(report.balance.total < ROUND_OFF);
         unseen += flow.space().unseen_cells().len();
     }
-    assert!(unseen > 0, "also cells that no point sees whole");
+    assert!(unseen > 0, "also cells that their centre does not see whole");
 }
 
 #[test]
