@@ -44,11 +44,12 @@ pub mod unit;
 mod wells;
 
 pub use error::{FlowError, Problem};
-pub use flow::{Flow, Inputs, Linearisation, Perturbation, Response};
+pub use flow::{Balance, Energy, Flow, FlowState, Fluxes, Inputs, Linearisation, Perturbation, PressureResponse};
 pub use local::Tensor;
 pub use model::{
-    Boundary, Condition, Control, FlowModel, Fluid, Fracture, Function, Place, Rock, StiffnessCap, Well, WellIndex,
+    Boundary, Condition, Control, FlowModel, Fluid, Fracture, Rock, SpaceTimeFunction, StiffnessCap, Well, WellIndex,
+    WellPlace,
 };
-pub use report::{Balance, Energy, Fluxes, Inflow, State, StepReport, WellReport, Work};
+pub use report::{FlowWork, Inflow, StepReport, WellReport};
 pub use space::Space;
 pub use wells::Spot;

@@ -12,9 +12,9 @@ use crate::error::{FlowError, Problem};
 
 /// A function of point (m) and time (s).
 #[derive(Clone)]
-pub struct Function(Arc<dyn Fn(Vec3, f64) -> f64 + Send + Sync>);
+pub struct SpaceTimeFunction(Arc<dyn Fn(Vec3, f64) -> f64 + Send + Sync>);
 
-impl Function {
+impl SpaceTimeFunction {
     /// From a closure.
     pub fn new(f: impl Fn(Vec3, f64) -> f64 + Send + Sync + 'static) -> Self {
         Self(Arc::new(f))
@@ -31,13 +31,13 @@ impl Function {
     }
 }
 
-impl fmt::Debug for Function {
+impl fmt::Debug for SpaceTimeFunction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Function")
+        f.write_str("SpaceTimeFunction")
     }
 }
 
-impl From<f64> for Function {
+impl From<f64> for SpaceTimeFunction {
     fn from(value: f64) -> Self {
         Self::constant(value)
     }
@@ -98,17 +98,17 @@ pub struct Fracture {
     /// K_n (m²) in T_f = 2 K_n/(η d_f); 0 seals it.
     pub normal_permeability: f64,
     /// d_f at the start (m), taken at the centres of its faces.
-    pub aperture: Function,
+    pub aperture: SpaceTimeFunction,
 }
 
 /// What holds on a part of the boundary.
 #[derive(Clone, Debug)]
 pub enum Condition {
     /// The pressure (Pa).
-    Pressure(Function),
+    Pressure(SpaceTimeFunction),
     /// The inflow, positive into the domain: m/s on the matrix; m²/s on fracture edges, over all the aperture (m²/s is
     /// also what it is at the boundary point of a 2D fracture).
-    Inflow(Function),
+    Inflow(SpaceTimeFunction),
 }
 
 /// The conditions on the boundary faces with a tag.
@@ -124,12 +124,12 @@ pub struct Boundary {
 
 impl Boundary {
     /// A pressure (Pa), on matrix and fractures.
-    pub fn pressure(function: impl Into<Function>) -> Self {
+    pub fn pressure(function: impl Into<SpaceTimeFunction>) -> Self {
         Self { matrix: Condition::Pressure(function.into()), fracture: None }
     }
 
     /// An inflow (m/s) through the matrix, none through fractures.
-    pub fn inflow(function: impl Into<Function>) -> Self {
+    pub fn inflow(function: impl Into<SpaceTimeFunction>) -> Self {
         Self { matrix: Condition::Inflow(function.into()), fracture: None }
     }
 
@@ -143,7 +143,7 @@ impl Boundary {
 
 /// Where a well is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Place {
+pub enum WellPlace {
     /// In the cell that holds the point, see [`Mesh::locate`].
     Cell(Vec3),
     /// In the fracture face that holds the point.
@@ -179,7 +179,7 @@ pub struct Well {
     /// Its name.
     pub name: String,
     /// Where it is.
-    pub place: Place,
+    pub place: WellPlace,
     /// How well it is connected.
     pub index: WellIndex,
     /// What it does at the start; [`Inputs`](crate::Inputs) may change it at each time step.
@@ -218,13 +218,13 @@ pub struct FlowModel {
     /// The conditions of each boundary tag, by name.
     pub boundaries: Vec<(String, Boundary)>,
     /// h_m (1/s), taken at the centres of cells.
-    pub matrix_source: Option<Function>,
+    pub matrix_source: Option<SpaceTimeFunction>,
     /// h_f (m/s), taken at the centres of fracture faces.
-    pub fracture_source: Option<Function>,
+    pub fracture_source: Option<SpaceTimeFunction>,
     /// The wells.
     pub wells: Vec<Well>,
     /// p⁰ (Pa) at the start, also the reference of the porosity.
-    pub initial_pressure: Function,
+    pub initial_pressure: SpaceTimeFunction,
     /// Time at the start (s).
     pub initial_time: f64,
     /// The largest published stiffnesses.
@@ -250,9 +250,9 @@ impl FlowModel {
     }
 
     /// The hydrostatic pressure that is `pressure` (Pa) at the point `at`.
-    pub fn hydrostatic(&self, pressure: f64, at: Vec3) -> Function {
+    pub fn hydrostatic(&self, pressure: f64, at: Vec3) -> SpaceTimeFunction {
         let weight = self.fluid.density * self.gravity;
-        Function::new(move |x, _| pressure + weight.dot(x - at))
+        SpaceTimeFunction::new(move |x, _| pressure + weight.dot(x - at))
     }
 
     /// Looks for all that is wrong with this model on a mesh, but for the places of wells.

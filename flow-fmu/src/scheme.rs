@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::local::{Facet, Tensor, transmissivity};
-use crate::report::{Work, timed};
+use crate::report::{FlowWork, timed};
 use crate::space::{Space, fracture_measure};
 
 /// Cells that a thread evaluates in one go.
@@ -105,7 +105,7 @@ impl Scheme {
         mobility: &[Tensor],
         weight: Vec3,
         given: &[bool],
-        work: &mut Work,
+        work: &mut FlowWork,
     ) -> Result<Self, linear::Error> {
         let geometry = mesh.geometry();
         let mut cell_start = vec![0];
@@ -205,7 +205,7 @@ impl Scheme {
         &mut self,
         c: &Coefficients,
         factor: Option<linear::Cholesky>,
-        work: &mut Work,
+        work: &mut FlowWork,
     ) -> Result<linear::Cholesky, linear::Error> {
         timed(&mut work.assembly, || self.assemble(c))?;
         work.factorisations += 1;

@@ -21,8 +21,9 @@ use model::{Document, Point, Scope, TipDistances};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Boundary, Condition, Control, Flow, FlowError, FlowModel, Fluid, Fracture, Function, Inflow, Inputs, Linearisation,
-    Perturbation, Place, Rock, State, StepReport, StiffnessCap, Tensor, Well, WellIndex, WellReport,
+    Boundary, Condition, Control, Flow, FlowError, FlowModel, FlowState, Fluid, Fracture, Inflow, Inputs,
+    Linearisation, Perturbation, Rock, SpaceTimeFunction, StepReport, StiffnessCap, Tensor, Well, WellIndex, WellPlace,
+    WellReport,
 };
 
 /// Flow behind the FMI.
@@ -33,7 +34,7 @@ pub struct FlowUnit {
     title: String,
     times: [f64; 3],
     /// The flow as it was made.
-    initial: State,
+    initial: FlowState,
     log: Log,
     settings: Settings,
     report: Arc<StepReport>,
@@ -52,7 +53,7 @@ struct Settings {
 /// Everything that changes.
 #[derive(Clone, Debug)]
 pub struct Saved {
-    state: State,
+    state: FlowState,
     settings: Settings,
     report: Arc<StepReport>,
     linearisation: Option<Arc<Linearisation>>,
@@ -70,7 +71,7 @@ impl FlowUnit {
     pub fn new(document: &Document, mesh: Mesh, log: Log) -> Result<Self, UnitError> {
         let mesh = Arc::new(mesh);
         let fingerprint = mesh.fingerprint();
-        let problem = problem(document, &mesh)?;
+        let problem = flow_model(document, &mesh)?;
         let mut computing = Duration::ZERO;
         let flow = timed(&mut computing, || Flow::new(Arc::clone(&mesh), problem))?;
         let sensitivity = &document.model.coupling.sensitivity;
@@ -491,7 +492,7 @@ impl Unit for FlowUnit {
 
     fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError> {
         let inputs = &self.settings.inputs;
-        self.flow.set_state(State {
+        self.flow.set_state(FlowState {
             time: experiment.start,
             porosity_change: inputs.porosity_change.clone(),
             aperture: inputs.aperture.clone(),
@@ -511,7 +512,7 @@ impl Unit for FlowUnit {
                 let made = report.work;
                 self.log.info("solver", format!("t = {} s: {made:?}, {:?}", report.time, report.balance));
                 // Work is no part of the state: a step that is repeated takes less.
-                report.work = crate::Work::default();
+                report.work = crate::FlowWork::default();
                 self.report = Arc::new(report);
                 Ok(StepOutcome::Completed)
             }
@@ -545,7 +546,7 @@ impl Unit for FlowUnit {
     }
 
     fn deserialize(&self, bytes: &[u8]) -> Result<Saved, UnitError> {
-        let (state, settings, report, linearisation): (State, Settings, StepReport, Option<Linearisation>) =
+        let (state, settings, report, linearisation): (FlowState, Settings, StepReport, Option<Linearisation>) =
             postcard::from_bytes(bytes)?;
         self.flow.check_state(&state, linearisation.as_ref())?;
         self.flow.check_inputs(&settings.inputs)?;
@@ -589,7 +590,7 @@ impl Unit for FlowUnit {
         let response = if self.flow.linearisation().is_some() {
             timed(&mut self.computing, || self.flow.linearised_response(&direction))?
         } else {
-            crate::Response {
+            crate::PressureResponse {
                 matrix_pressure: vec![0.0; sizes.cells],
                 fracture_pressure: vec![0.0; sizes.fracture_faces],
             }
@@ -622,12 +623,12 @@ fn may_pass(error: &FlowError) -> bool {
 ///
 /// # Errors
 /// A model without flow, or expressions that are not sound.
-pub fn problem(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitError> {
+pub fn flow_model(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitError> {
     let description = &document.model;
     let flow = description.flow.as_ref().ok_or("the model has no [flow]")?;
-    let function = |value: &model::Value| -> Result<Function, UnitError> {
+    let function = |value: &model::Value| -> Result<SpaceTimeFunction, UnitError> {
         let function = description.function(value, Scope::PlaceAndTime)?;
-        Ok(Function::new(move |x, time| function.at(&Point::new(x, time))))
+        Ok(SpaceTimeFunction::new(move |x, time| function.at(&Point::new(x, time))))
     };
     let mut problem = FlowModel::new(Fluid {
         viscosity: flow.fluid.viscosity.0,
@@ -637,7 +638,7 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitError>
     problem.gravity = flow.gravity.as_ref().map_or(Vec3::ZERO, model::Coordinates::vector);
     problem.initial_time = description.time.start.0;
     let pressure = description.function(&description.initial.pressure, Scope::Place)?;
-    problem.initial_pressure = Function::new(move |x, _| pressure.at(&Point::new(x, 0.0)));
+    problem.initial_pressure = SpaceTimeFunction::new(move |x, _| pressure.at(&Point::new(x, 0.0)));
     for name in &mesh.data().regions {
         let Some(region) = description.regions.get(name) else { continue };
         let permeability = (region.permeability.as_ref())
@@ -656,7 +657,7 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitError>
             .ok_or_else(|| format!("fractures.{name} has no normal_permeability, which flow needs"))?;
         let aperture = description.function(&fracture.contact_aperture, Scope::Fracture)?;
         let tips = Arc::clone(&tips);
-        let aperture = Function::new(move |x, _| aperture.at(&tips.point(number, x)));
+        let aperture = SpaceTimeFunction::new(move |x, _| aperture.at(&tips.point(number, x)));
         problem.fractures.push((name.clone(), Fracture { normal_permeability: normal_permeability.0, aperture }));
     }
     for (tag, boundary) in &flow.boundary {
@@ -684,8 +685,8 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitError>
 fn described_well(name: &str, well: &model::Well) -> Result<Well, UnitError> {
     let lacks = |what: &str| UnitError::from(format!("flow.wells.{name} has no {what}"));
     let place = match (&well.cell, &well.fracture_face) {
-        (Some(point), _) => Place::Cell(point.vector()),
-        (None, Some(point)) => Place::FractureFace(point.vector()),
+        (Some(point), _) => WellPlace::Cell(point.vector()),
+        (None, Some(point)) => WellPlace::FractureFace(point.vector()),
         (None, None) => return Err(lacks("place")),
     };
     let control = match (well.rate, well.pressure) {

@@ -6,7 +6,7 @@ use mesh::{Mesh, Vec3};
 
 use crate::Tensor;
 use crate::error::Problem;
-use crate::model::{Place, Well, WellIndex};
+use crate::model::{Well, WellIndex, WellPlace};
 
 /// Where a well acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,8 +51,8 @@ pub(crate) fn place(
     let mut placed = Vec::new();
     for well in wells {
         let (point, found, outside) = match well.place {
-            Place::Cell(x) => (x, mesh.locate(x).map(Spot::Cell), "outside the mesh"),
-            Place::FractureFace(x) => (x, fracture_face_at(mesh, x).map(Spot::FractureFace), "on no fracture face"),
+            WellPlace::Cell(x) => (x, mesh.locate(x).map(Spot::Cell), "outside the mesh"),
+            WellPlace::FractureFace(x) => (x, fracture_face_at(mesh, x).map(Spot::FractureFace), "on no fracture face"),
         };
         let Some(spot) = found else {
             let Vec3 { x, y, z } = point;

@@ -75,7 +75,7 @@ pub fn flow_model() -> FlowModel {
     rock.permeability.y_axis.y = 0.5e-15;
     model.rocks.push(("rock".into(), rock));
     for (i, (name, _)) in FRACTURES.iter().enumerate() {
-        let aperture = flow_fmu::Function::new(move |x, _| contact_aperture(i, x));
+        let aperture = flow_fmu::SpaceTimeFunction::new(move |x, _| contact_aperture(i, x));
         model.fractures.push(((*name).into(), Fracture { normal_permeability: 1e-15, aperture }));
     }
     model.boundaries.push(("left".into(), Boundary::pressure(INITIAL_PRESSURE)));
@@ -125,7 +125,7 @@ impl Coupled {
         mechanics.make_initial(&mut state);
         let mut flow = Flow::new(mesh, flow_model()).unwrap_or_else(|e| panic!("{e}"));
         let aperture = mechanics.aperture(&state);
-        flow.set_state(flow_fmu::State { aperture, ..flow.state().clone() }).unwrap_or_else(|e| panic!("{e}"));
+        flow.set_state(flow_fmu::FlowState { aperture, ..flow.state().clone() }).unwrap_or_else(|e| panic!("{e}"));
         Self { mechanics, flow, state }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use flow_fmu::{Boundary, Flow, FlowModel, Fluid, Fracture, Function, Rock, StepReport, Tensor};
+use flow_fmu::{Boundary, Flow, FlowModel, Fluid, Fracture, Rock, SpaceTimeFunction, StepReport, Tensor};
 use mesh::generate::{Triangles, agglomerate, cartesian, dual, extrude, kershaw, perturb, simplices};
 use mesh::{Mesh, MeshData, Vec3};
 
@@ -84,7 +84,7 @@ pub(crate) fn unit_fluid() -> Fluid {
 }
 
 /// A steady problem with the pressure given on all sides.
-pub(crate) fn all_pressure(mesh: &Mesh, permeability: Tensor, p: Function) -> FlowModel {
+pub(crate) fn all_pressure(mesh: &Mesh, permeability: Tensor, p: SpaceTimeFunction) -> FlowModel {
     let mut model = FlowModel::new(unit_fluid());
     model.rocks = mesh.data().regions.iter().map(|r| (r.clone(), rock(permeability))).collect();
     model.boundaries = sides(mesh).iter().map(|s| (s.to_string(), Boundary::pressure(p.clone()))).collect();

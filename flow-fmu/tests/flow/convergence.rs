@@ -2,7 +2,7 @@
 //! Gallouët, Herbin, IMA J. Numer. Anal. 30, 2010, theorem 4.8; Droniou, Nataraj, IMA J. Numer. Anal. 38, 2018, for
 //! the second order of the pressure).
 
-use flow_fmu::Function;
+use flow_fmu::SpaceTimeFunction;
 use mesh::Vec3;
 
 use super::common::*;
@@ -38,8 +38,8 @@ fn divergence(x: Vec3, dim: usize) -> f64 {
 fn errors(name: &str, n: usize) -> (f64, f64, f64) {
     let mesh = mesh(family(name, n));
     let dim = mesh.dim();
-    let mut model = all_pressure(&mesh, full_tensor(), Function::new(|x, _| pressure(x)));
-    model.matrix_source = Some(Function::new(move |x, _| -divergence(x, dim)));
+    let mut model = all_pressure(&mesh, full_tensor(), SpaceTimeFunction::new(|x, _| pressure(x)));
+    model.matrix_source = Some(SpaceTimeFunction::new(move |x, _| -divergence(x, dim)));
     let (flow, _) = steady(&mesh, model);
     let geometry = mesh.geometry();
     let (mut p, mut p_size, mut v, mut v_size) = (0.0, 0.0, 0.0, 0.0);

@@ -1,6 +1,6 @@
 //! Fractures with closed-form solutions: blocking, conducting, crossing.
 
-use flow_fmu::{Boundary, Function, Rock, Tensor};
+use flow_fmu::{Boundary, Rock, SpaceTimeFunction, Tensor};
 use mesh::generate::{Triangles, cartesian};
 use mesh::{EdgeKind, Mesh, MeshData, Side, Vec3};
 
@@ -38,7 +38,8 @@ fn a_sealed_fracture_lets_nothing_through() {
     let mut data = unit([4, 4, 0]);
     data.mark_fracture("f", |x| x.x == 0.5);
     let mesh = mesh(data);
-    let mut model = all_pressure(&mesh, Tensor::IDENTITY, Function::new(|x, _| if x.x < 0.5 { 2.0 } else { 1.0 }));
+    let mut model =
+        all_pressure(&mesh, Tensor::IDENTITY, SpaceTimeFunction::new(|x, _| if x.x < 0.5 { 2.0 } else { 1.0 }));
     model.boundaries.retain(|b| b.0 == "left" || b.0 == "right" || b.0 == "top");
     model.fractures.push(("f".into(), fracture(1.0, 0.0)));
     let (flow, _) = steady(&mesh, model);
@@ -56,10 +57,10 @@ fn along_and_across(data: MeshData, conductivity: f64, transmissivity: f64) -> (
     let matrix = |x: Vec3| (K * x.y).cos() * (K * (1.0 - x.x.abs())).cosh();
     let amplitude = K.cosh() + K * K.sinh() / transmissivity;
     let source = conductivity * K * K * amplitude + 2.0 * K * K.sinh();
-    let mut model = all_pressure(&mesh, Tensor::IDENTITY, Function::new(move |x, _| matrix(x)));
+    let mut model = all_pressure(&mesh, Tensor::IDENTITY, SpaceTimeFunction::new(move |x, _| matrix(x)));
     model.boundaries.retain(|b| b.0 == "left" || b.0 == "right");
     model.fractures.push(("f".into(), fracture(conductivity, transmissivity)));
-    model.fracture_source = Some(Function::new(move |x, _| source * (K * x.y).cos()));
+    model.fracture_source = Some(SpaceTimeFunction::new(move |x, _| source * (K * x.y).cos()));
     let (flow, _) = steady(&mesh, model);
     let mut error = [0.0, 0.0];
     let mut size = [0.0, 0.0];
@@ -114,7 +115,7 @@ fn pipes(fractures: &[Pipe], n: [usize; 3]) -> (flow_fmu::Flow, flow_fmu::StepRe
         data.mark_fracture(name, on);
     }
     let mesh = mesh(data);
-    let at_left = Function::new(|x, _| if x.x == 0.0 { 1.0 } else { 0.0 });
+    let at_left = SpaceTimeFunction::new(|x, _| if x.x == 0.0 { 1.0 } else { 0.0 });
     let mut model = all_pressure(&mesh, Tensor::IDENTITY, at_left);
     if mesh.dim() == 3 {
         model.boundaries.retain(|b| b.0 != "bottom" && b.0 != "top");
@@ -163,7 +164,7 @@ fn nothing_leaves_through_a_tip() {
     let mut data = unit([8, 8, 0]);
     data.mark_fracture("f", |x| x.y == 0.5 && (0.25..=0.75).contains(&x.x));
     let mesh = mesh(data);
-    let mut model = all_pressure(&mesh, Tensor::IDENTITY, Function::new(|x, _| 1.0 - x.x));
+    let mut model = all_pressure(&mesh, Tensor::IDENTITY, SpaceTimeFunction::new(|x, _| 1.0 - x.x));
     model.fractures.push(("f".into(), fracture(100.0, 100.0)));
     let (flow, _) = steady(&mesh, model);
     let network = mesh.network();
@@ -190,7 +191,8 @@ fn sides_and_numbers_do_not_matter() {
     let original = Mesh::new(data.clone()).unwrap();
     let solve = |mesh: Mesh| {
         let mesh = std::sync::Arc::new(mesh);
-        let mut model = all_pressure(&mesh, full_tensor(), Function::new(|x, _| (3.0 * x.x).sin() + x.y * x.z));
+        let mut model =
+            all_pressure(&mesh, full_tensor(), SpaceTimeFunction::new(|x, _| (3.0 * x.x).sin() + x.y * x.z));
         model.fractures.push(("a".into(), fracture(5.0, 3.0)));
         model.fractures.push(("b".into(), fracture(0.1, 50.0)));
         steady(&mesh, model).0

@@ -1,8 +1,8 @@
 //! Bad input is refused, with all its reasons at once.
 
 use flow_fmu::{
-    Boundary, Control, Flow, FlowError, FlowModel, Fluid, Fracture, Function, Place, Problem, Rock, Tensor, Well,
-    WellIndex,
+    Boundary, Control, Flow, FlowError, FlowModel, Fluid, Fracture, Problem, Rock, SpaceTimeFunction, Tensor, Well,
+    WellIndex, WellPlace,
 };
 use mesh::Vec3;
 
@@ -33,7 +33,7 @@ fn problems(change: impl FnOnce(&mut FlowModel)) -> Vec<Problem> {
     }
 }
 
-fn well(name: &str, place: Place) -> Well {
+fn well(name: &str, place: WellPlace) -> Well {
     Well { name: name.into(), place, index: WellIndex::Given(1.0), control: Control::Rate(1.0), limit: None }
 }
 
@@ -79,8 +79,10 @@ fn names() {
         m.fractures[0].0 = "g".into();
         m.boundaries.push(("left".into(), Boundary::pressure(1.0)));
         m.boundaries.push(("lid".into(), Boundary::pressure(1.0)));
-        m.wells =
-            vec![well("w", Place::Cell(Vec3::new(0.1, 0.1, 0.0))), well("w", Place::Cell(Vec3::new(0.1, 0.1, 0.0)))];
+        m.wells = vec![
+            well("w", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0))),
+            well("w", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0))),
+        ];
     });
     let has = |wanted: &dyn Fn(&Problem) -> bool| found.iter().filter(|&p| wanted(p)).count();
     assert_eq!(has(&|p| matches!(p, Problem::Unknown { kind: "region", name, .. } if name == "granite")), 1);
@@ -96,15 +98,15 @@ fn names() {
 #[test]
 fn wells() {
     let found = problems(|m| {
-        let mut thick = well("thick", Place::Cell(Vec3::new(0.1, 0.1, 0.0)));
+        let mut thick = well("thick", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
         thick.index = WellIndex::Peaceman { radius: 1.0 };
-        let mut radial = well("radial", Place::FractureFace(Vec3::new(0.5, 0.3, 0.0)));
+        let mut radial = well("radial", WellPlace::FractureFace(Vec3::new(0.5, 0.3, 0.0)));
         radial.index = WellIndex::Peaceman { radius: 1e-3 };
-        let mut not = well("not", Place::Cell(Vec3::new(0.1, 0.1, 0.0)));
+        let mut not = well("not", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
         not.control = Control::Rate(f64::NAN);
         m.wells = vec![
-            well("outside", Place::Cell(Vec3::new(1.1, 0.5, 0.0))),
-            well("beside", Place::FractureFace(Vec3::new(0.6, 0.5, 0.0))),
+            well("outside", WellPlace::Cell(Vec3::new(1.1, 0.5, 0.0))),
+            well("beside", WellPlace::FractureFace(Vec3::new(0.6, 0.5, 0.0))),
             thick,
             radial,
             not,
@@ -123,7 +125,7 @@ fn several_at_once() {
     let found = problems(|m| {
         m.rocks[0].1 = Rock { permeability: -Tensor::IDENTITY, porosity: 1.5, biot_modulus: Some(-1.0) };
         m.fractures[0].1 = Fracture { normal_permeability: f64::NAN, aperture: 0.0.into() };
-        m.wells = vec![well("w", Place::Cell(Vec3::new(9.0, 9.0, 0.0)))];
+        m.wells = vec![well("w", WellPlace::Cell(Vec3::new(9.0, 9.0, 0.0)))];
         m.boundaries.push(("lid".into(), Boundary::pressure(1.0)));
     });
     assert_eq!(found.len(), 2 + 1 + 1 + 1 + 1 + 4, "{found:?}");
@@ -155,7 +157,7 @@ fn an_isolated_part_is_found() {
         ]
     );
     // Wells with a pressure fix it, one with a rate does not.
-    model.wells = vec![well("w", Place::Cell(Vec3::new(0.9, 0.1, 0.0)))];
+    model.wells = vec![well("w", WellPlace::Cell(Vec3::new(0.9, 0.1, 0.0)))];
     assert_eq!(isolated(model.clone()).len(), 2);
     model.wells[0].control = Control::Pressure(1.0);
     assert_eq!(isolated(model.clone()).len(), 1);
@@ -198,9 +200,9 @@ fn inputs_of_a_time_step() {
 #[test]
 fn data_that_are_not_finite() {
     let mut model = good();
-    model.boundaries[0].1 = Boundary::pressure(Function::new(|_, t| if t > 1.0 { f64::NAN } else { 0.0 }));
+    model.boundaries[0].1 = Boundary::pressure(SpaceTimeFunction::new(|_, t| if t > 1.0 { f64::NAN } else { 0.0 }));
     model.rocks[0].1.biot_modulus = Some(1.0);
-    model.matrix_source = Some(Function::new(|_, t| if t > 2.0 { f64::INFINITY } else { 0.0 }));
+    model.matrix_source = Some(SpaceTimeFunction::new(|_, t| if t > 2.0 { f64::INFINITY } else { 0.0 }));
     let mut flow = new(model).unwrap();
     let inputs = flow.inputs();
     flow.step(1.0, &inputs).unwrap();

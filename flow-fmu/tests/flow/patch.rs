@@ -1,6 +1,6 @@
 //! Affine pressures are reproduced to round-off, on any mesh.
 
-use flow_fmu::{Boundary, Condition, Function};
+use flow_fmu::{Boundary, Condition, SpaceTimeFunction};
 use mesh::{Mesh, Vec3};
 
 use super::common::*;
@@ -25,7 +25,8 @@ fn affine_pressure_with_a_full_tensor() {
     for name in ZOO {
         let n = if name == "large clumps of triangles" { 12 } else { 3 };
         let mesh = mesh(family(name, n));
-        let (flow, report) = steady(&mesh, all_pressure(&mesh, full_tensor(), Function::new(|x, _| affine(x))));
+        let (flow, report) =
+            steady(&mesh, all_pressure(&mesh, full_tensor(), SpaceTimeFunction::new(|x, _| affine(x))));
         let velocity = -(full_tensor() * in_dim(&mesh));
         let fluxes = flow.fluxes().unwrap();
         for cell in 0..mesh.cell_count() {
@@ -59,7 +60,7 @@ fn affine_pressure_on_the_zoo_of_the_mesh() {
         data.tag_boundary(|_| Some("all"));
         let mesh = super::common::mesh(data);
         let mut model = all_pressure(&mesh, full_tensor(), 0.0.into());
-        model.boundaries = vec![("all".into(), Boundary::pressure(Function::new(move |x, _| exact(x))))];
+        model.boundaries = vec![("all".into(), Boundary::pressure(SpaceTimeFunction::new(move |x, _| exact(x))))];
         let (flow, report) = steady(&mesh, model);
         let velocity = -(full_tensor() * in_dim(&mesh)) / size;
         for cell in 0..mesh.cell_count() {
@@ -100,7 +101,7 @@ fn affine_pressure_from_inflow_data() {
     // Neumann data on all sides but one.
     for name in ["polygons", "polyhedra", "perturbed cubes"] {
         let mesh = mesh(family(name, 3));
-        let mut model = all_pressure(&mesh, full_tensor(), Function::new(|x, _| affine(x)));
+        let mut model = all_pressure(&mesh, full_tensor(), SpaceTimeFunction::new(|x, _| affine(x)));
         let velocity = -(full_tensor() * in_dim(&mesh));
         for (tag, boundary) in &mut model.boundaries {
             let axis = sides(&mesh).iter().position(|s| s == tag).unwrap();
@@ -170,7 +171,7 @@ fn flow_along_a_fracture_is_exact() {
             gradient
         };
         let exact = move |x: Vec3| gradient.dot(x);
-        let mut model = all_pressure(&mesh, full_tensor(), Function::new(move |x, _| exact(x)));
+        let mut model = all_pressure(&mesh, full_tensor(), SpaceTimeFunction::new(move |x, _| exact(x)));
         model.fractures.push(("f".into(), fracture(2.5, 7.0)));
         let (flow, report) = steady(&mesh, model);
         for (i, p) in flow.fracture_pressure().iter().enumerate() {

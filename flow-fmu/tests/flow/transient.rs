@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use flow_fmu::{Boundary, Flow, FlowModel, Fluid, Fracture, Function, Rock};
+use flow_fmu::{Boundary, Flow, FlowModel, Fluid, Fracture, Rock, SpaceTimeFunction};
 use mesh::Vec3;
 use mesh::generate::cartesian;
 
@@ -14,7 +14,7 @@ fn column_error(steps: usize) -> f64 {
     let mut model = FlowModel::new(unit_fluid());
     model.rocks.push(("rock".into(), Rock::isotropic(2.0, 0.1, Some(3.0))));
     model.boundaries.push(("right".into(), Boundary::pressure(0.0)));
-    model.initial_pressure = Function::new(|x, _| (0.5 * PI * x.x).cos());
+    model.initial_pressure = SpaceTimeFunction::new(|x, _| (0.5 * PI * x.x).cos());
     let mut flow = Flow::new(mesh, model).unwrap();
     let inputs = flow.inputs();
     let end = 0.1;
@@ -48,18 +48,18 @@ fn everything(dim: usize) -> Flow {
     let rock = Rock { permeability: 1e-15 * full_tensor(), porosity: 0.15, biot_modulus: Some(1.2e10) };
     model.rocks.push(("rock".into(), rock));
     for name in ["a", "b"] {
-        let aperture = Function::new(|x, _| 1e-4 * (1.0 + 0.5 * (x.y / 30.0).sin()));
+        let aperture = SpaceTimeFunction::new(|x, _| 1e-4 * (1.0 + 0.5 * (x.y / 30.0).sin()));
         model.fractures.push((name.into(), Fracture { normal_permeability: 1e-14, aperture }));
     }
     model.initial_pressure = model.hydrostatic(1e5, 100.0 * up);
-    let rising = Function::new(|x, t| 1e6 + 1e4 * x.y + 10.0 * t);
+    let rising = SpaceTimeFunction::new(|x, t| 1e6 + 1e4 * x.y + 10.0 * t);
     model.boundaries.push(("left".into(), Boundary::pressure(rising)));
     model.boundaries.push(("right".into(), Boundary::inflow(1e-9)));
-    model.matrix_source = Some(Function::new(|x, _| 1e-12 * x.x));
+    model.matrix_source = Some(SpaceTimeFunction::new(|x, _| 1e-12 * x.x));
     model.fracture_source = Some(1e-10.into());
     model.wells.push(flow_fmu::Well {
         name: "injector".into(),
-        place: flow_fmu::Place::Cell(Vec3::new(30.0, 30.0, if dim == 2 { 0.0 } else { 30.0 })),
+        place: flow_fmu::WellPlace::Cell(Vec3::new(30.0, 30.0, if dim == 2 { 0.0 } else { 30.0 })),
         index: flow_fmu::WellIndex::Peaceman { radius: 0.1 },
         control: flow_fmu::Control::Rate(1e-6),
         limit: None,

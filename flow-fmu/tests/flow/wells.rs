@@ -1,12 +1,12 @@
 //! Wells: rates, pressures, limits, places.
 
-use flow_fmu::{Boundary, Control, Flow, FlowModel, Place, Rock, Spot, Well, WellIndex};
+use flow_fmu::{Boundary, Control, Flow, FlowModel, Rock, Spot, Well, WellIndex, WellPlace};
 use mesh::Vec3;
 use mesh::generate::cartesian;
 
 use super::common::*;
 
-fn well(name: &str, place: Place, control: Control, limit: Option<f64>) -> Well {
+fn well(name: &str, place: WellPlace, control: Control, limit: Option<f64>) -> Well {
     Well { name: name.into(), place, index: WellIndex::Given(2.0), control, limit }
 }
 
@@ -23,7 +23,7 @@ fn flow(wells: Vec<Well>, biot_modulus: Option<f64>) -> Flow {
 
 #[test]
 fn rate_and_pressure_are_two_views_of_a_well() {
-    for place in [Place::Cell(Vec3::new(6.2, 3.7, 0.0)), Place::FractureFace(Vec3::new(4.0, 2.5, 0.0))] {
+    for place in [WellPlace::Cell(Vec3::new(6.2, 3.7, 0.0)), WellPlace::FractureFace(Vec3::new(4.0, 2.5, 0.0))] {
         let mut by_rate = flow(vec![well("w", place, Control::Rate(3.0), None)], None);
         let inputs = by_rate.inputs();
         let report = by_rate.steady(&inputs).unwrap();
@@ -39,8 +39,8 @@ fn rate_and_pressure_are_two_views_of_a_well() {
         assert!(distance(&by_rate.state().matrix_pressure, &by_pressure.state().matrix_pressure) < 1e-12);
         let spot = by_rate.well_spots()[0];
         match (place, spot) {
-            (Place::Cell(_), Spot::Cell(cell)) => assert_eq!(cell, 6 + 3 * 8),
-            (Place::FractureFace(_), Spot::FractureFace(i)) => {
+            (WellPlace::Cell(_), Spot::Cell(cell)) => assert_eq!(cell, 6 + 3 * 8),
+            (WellPlace::FractureFace(_), Spot::FractureFace(i)) => {
                 let face = by_rate.mesh().network().faces[i];
                 assert!((by_rate.mesh().geometry().face_center[face].y - 2.5).abs() < 1e-14);
             }
@@ -51,7 +51,7 @@ fn rate_and_pressure_are_two_views_of_a_well() {
 
 #[test]
 fn a_limit_takes_over_and_gives_back() {
-    let place = Place::Cell(Vec3::new(6.2, 3.7, 0.0));
+    let place = WellPlace::Cell(Vec3::new(6.2, 3.7, 0.0));
     let mut flow = flow(vec![well("w", place, Control::Rate(3.0), Some(4.0))], Some(1.0));
     let mut inputs = flow.inputs();
     let mut was_limited = false;
@@ -81,11 +81,11 @@ fn peaceman_on_a_grid_gives_the_radial_pressure() {
     let data = cartesian(Vec3::new(-half, -half, 0.0), Vec3::new(half, half, 0.0), [n, n, 0]);
     let mesh = mesh(data);
     let exact = move |r: f64| -q / (2.0 * std::f64::consts::PI) * r.ln();
-    let p = flow_fmu::Function::new(move |x: Vec3, _| exact(x.length()));
+    let p = flow_fmu::SpaceTimeFunction::new(move |x: Vec3, _| exact(x.length()));
     let mut model = all_pressure(&mesh, flow_fmu::Tensor::IDENTITY, p);
     model.wells.push(Well {
         name: "w".into(),
-        place: Place::Cell(Vec3::ZERO),
+        place: WellPlace::Cell(Vec3::ZERO),
         index: WellIndex::Peaceman { radius: 0.05 },
         control: Control::Rate(q),
         limit: None,
@@ -108,7 +108,7 @@ fn peaceman_in_three_dimensions() {
     let radius = 0.1;
     let index = WellIndex::Peaceman { radius };
     for (name, place) in
-        [("rock", Place::Cell(Vec3::splat(1.0))), ("fracture", Place::FractureFace(Vec3::new(2.0, 1.0, 1.0)))]
+        [("rock", WellPlace::Cell(Vec3::splat(1.0))), ("fracture", WellPlace::FractureFace(Vec3::new(2.0, 1.0, 1.0)))]
     {
         model.wells.push(Well { name: name.into(), place, index, control: Control::Rate(2.0), limit: None });
     }

@@ -379,7 +379,7 @@ fn print_memory(mesh: &Path) -> Outcome<()> {
     let Found::Converged(state, _) = outcome? else { return Err("no equilibrium at the initial pressure".into()) };
     peaks.push(bytes);
     let mut flow = flow;
-    flow.set_state(flow_fmu::State { aperture: mechanics.aperture(&state), ..flow.state().clone() })?;
+    flow.set_state(flow_fmu::FlowState { aperture: mechanics.aperture(&state), ..flow.state().clone() })?;
     let inputs = flow.inputs();
     let (report, bytes) = peak_of(|| flow.step(100.0, &inputs))?;
     report?;

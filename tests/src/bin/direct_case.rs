@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         note(&format!("mechanics.fracture.displacement_jump.{step}"), state.jump(mechanics.space()));
     }
 
-    let problem = flow_fmu::unit::problem(&document, &mesh).map_err(|e| e.to_string())?;
+    let problem = flow_fmu::unit::flow_model(&document, &mesh).map_err(|e| e.to_string())?;
     let mut flow = flow_fmu::Flow::new(Arc::clone(&mesh), problem)?;
     let mut inputs = flow.inputs();
     let aperture = inputs.aperture.clone();

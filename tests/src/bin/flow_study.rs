@@ -12,7 +12,8 @@ use std::sync::Arc;
 
 use clap::{Parser, Subcommand};
 use flow_fmu::{
-    Boundary, Condition, Control, Flow, FlowModel, Fluid, Fracture, Function, Place, Rock, Tensor, Well, WellIndex,
+    Boundary, Condition, Control, Flow, FlowModel, Fluid, Fracture, Rock, SpaceTimeFunction, Tensor, Well, WellIndex,
+    WellPlace,
 };
 use mesh::generate::{Triangles, agglomerate, cartesian, dual, perturb, simplices};
 use mesh::{Mesh, MeshData, Vec3};
@@ -201,9 +202,10 @@ fn manufactured(output: &Path) -> Outcome<()> {
             };
             let mut model = FlowModel::new(unit_fluid());
             model.rocks.push(("rock".into(), Rock { permeability: k, porosity: 0.0, biot_modulus: None }));
-            let given = |tag: &String| (tag.clone(), Boundary::pressure(Function::new(move |x, _| pressure(x))));
+            let given =
+                |tag: &String| (tag.clone(), Boundary::pressure(SpaceTimeFunction::new(move |x, _| pressure(x))));
             model.boundaries = mesh.data().tags.iter().map(given).collect();
-            model.matrix_source = Some(Function::new(source));
+            model.matrix_source = Some(SpaceTimeFunction::new(source));
             let flow = steady(&mesh, model)?;
             let geometry = mesh.geometry();
             let [mut p, mut p_size, mut v, mut v_size] = [0.0; 4];
@@ -260,9 +262,9 @@ fn fractures(output: &Path) -> Outcome<()> {
             model.rocks.push(("rock".into(), Rock::isotropic(1.0, 0.0, None)));
             model.fractures.push(("f".into(), fracture(conductivity, transmissivity)));
             for side in ["left", "right"] {
-                model.boundaries.push((side.into(), Boundary::pressure(Function::new(move |x, _| matrix(x)))));
+                model.boundaries.push((side.into(), Boundary::pressure(SpaceTimeFunction::new(move |x, _| matrix(x)))));
             }
-            model.fracture_source = Some(Function::new(move |x, _| source * (PI * x.y).cos()));
+            model.fracture_source = Some(SpaceTimeFunction::new(move |x, _| source * (PI * x.y).cos()));
             let flow = steady(&mesh, model)?;
             let (mut error, mut size) = ([0.0; 2], [0.0; 2]);
             let mut add = |k: usize, measure: f64, value: f64, exact: f64| {
@@ -345,7 +347,7 @@ fn hydrocoin(h: f64) -> Outcome<Flow> {
     for (name, width) in [("one", 5.0 * 2f64.sqrt()), ("other", 33.0 / 5f64.sqrt())] {
         model.fractures.push((name.into(), fracture(1e-6 * width, 2.0 * 1e-6 / width)));
     }
-    model.boundaries.push(("top".into(), Boundary::pressure(Function::new(|x, _| x.y))));
+    model.boundaries.push(("top".into(), Boundary::pressure(SpaceTimeFunction::new(|x, _| x.y))));
     steady(&checked(mesh)?, model)
 }
 
@@ -574,7 +576,7 @@ fn theis(output: &Path) -> Outcome<()> {
         model.rocks.push(("rock".into(), Rock::isotropic(k, 0.1, Some(1.0 / storage))));
         model.wells.push(Well {
             name: "well".into(),
-            place: Place::Cell(Vec3::ZERO),
+            place: WellPlace::Cell(Vec3::ZERO),
             index: WellIndex::Peaceman { radius: 0.01 },
             control: Control::Rate(q),
             limit: None,
