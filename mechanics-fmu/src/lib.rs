@@ -21,6 +21,7 @@
 //! discrete problem (see [`space`]).
 
 pub mod contact;
+pub mod elasticity;
 pub mod error;
 mod linearised;
 pub mod mechanics;
@@ -31,10 +32,12 @@ mod system;
 pub mod unit;
 
 pub use contact::ContactState;
+pub use elasticity::Elasticity;
 pub use error::{MechanicsError, ModelProblem};
 pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport, StepTimes};
 pub use model::{
-    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, Place,
+    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, NormalBubbles,
+    Place, Stabilisation, UndrainedFunction,
 };
 pub use newton::NewtonReport;
 pub use space::Space;

@@ -139,7 +139,7 @@ impl Mechanics {
     }
 
     fn normal_jump(&self, face: usize) -> usize {
-        (self.system.space.first_jump() + face) * self.mesh.dim()
+        self.system.space.first_jump_unknown() + face * self.mesh.dim()
     }
 
     fn local(&self, v: &[f64], face: usize) -> Local {

@@ -12,6 +12,9 @@ pub type ScalarFunction = Arc<dyn Fn(Vec3, f64) -> f64 + Send + Sync>;
 /// A vector function of the position (m) and the time (s); in 2D its z component is not looked at.
 pub type VectorFunction = Arc<dyn Fn(Vec3, f64) -> Vec3 + Send + Sync>;
 
+/// What undrained pores add to λ (Pa) in a region, for a cell diameter (m).
+pub type UndrainedFunction = Arc<dyn Fn(&str, f64) -> f64 + Send + Sync>;
+
 /// A function of a boundary point and the time (s).
 pub type BoundaryFunction = Arc<dyn Fn(&BoundaryPoint, f64) -> f64 + Send + Sync>;
 
@@ -170,6 +173,35 @@ pub enum Bubbles {
     TwoSided,
 }
 
+/// On which faces the displacement has a normal bubble, with which nothing locks and no pressure oscillates where rock is
+/// nearly incompressible or undrained; a bubble takes as much of the factor as an unknown of a vertex.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NormalBubbles {
+    /// On no face.
+    None,
+    /// On all inner faces off the fractures.
+    All,
+    /// On those of cells that need it: with at most 2^d vertices, as simplices, quadrilaterals and hexahedra, and of rock that
+    /// hardly changes its volume, λ_u > [`STIFF`](Self::STIFF) μ.
+    #[default]
+    Auto,
+}
+
+impl NormalBubbles {
+    /// λ_u/μ from which on a cell needs normal bubbles: Poisson's ratio, undrained where fluid cannot leave, of 0.45.
+    pub const STIFF: f64 = 9.0;
+}
+
+/// The weight of the stabilisation of virtual elements (see [`crate::Elasticity`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Stabilisation {
+    /// Matched to the shear energy of bi- and trilinear functions.
+    #[default]
+    Matched,
+    /// h^{d−2} (2μ+λ), of the published tables: 3 (2D) to 12 (3D) times too stiff.
+    Published,
+}
+
 /// Settings of the semi-smooth Newton method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NewtonSettings {
@@ -205,6 +237,12 @@ pub struct Model {
     pub body_force: Option<VectorFunction>,
     /// Bubbles on one or both sides.
     pub bubbles: Bubbles,
+    /// Normal bubbles off the fractures.
+    pub normal_bubbles: NormalBubbles,
+    /// What pores that fluid cannot leave within a time step add to λ (Pa): b²M, by region and cell diameter (m).
+    pub undrained: Option<UndrainedFunction>,
+    /// Weight of the stabilisation.
+    pub stabilisation: Stabilisation,
     /// Settings of Newton's method.
     pub newton: NewtonSettings,
 }

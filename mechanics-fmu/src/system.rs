@@ -10,6 +10,7 @@
 //! The jumps are eliminated last: the factor of A then holds that of its Schur complement on the fracture.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -18,7 +19,8 @@ use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
 use crate::error::{MechanicsError, ModelProblem};
-use crate::model::{BoundaryFunction, BoundaryPoint, Model, Place};
+use crate::elasticity::Elasticity;
+use crate::model::{BoundaryFunction, BoundaryPoint, Model, NormalBubbles, Place, Stabilisation};
 use crate::space::{CellOperators, CellUnknowns, Space};
 
 /// A prescribed unknown.
@@ -95,6 +97,7 @@ pub(crate) struct System {
     pub(crate) space: Space,
     /// Of each region.
     pub(crate) materials: Vec<CellMaterial>,
+    stabilisation: Stabilisation,
     pub(crate) fixed: Vec<Fixed>,
     /// The unknown of each free one, ascending; the jumps are the last.
     pub(crate) free: Vec<u32>,
@@ -117,7 +120,7 @@ pub(crate) struct System {
 impl System {
     /// Assembles and factorises; says when each stage has ended.
     pub(crate) fn new(mesh: &Mesh, model: &Model, ended: &mut dyn FnMut(Stage)) -> Result<Self, MechanicsError> {
-        let space = Space::new(mesh, model.bubbles);
+        let space = Space::with_normal_bubbles(mesh, model.bubbles, normal_bubbles(mesh, model));
         let fixed = fixed_unknowns(mesh, model, &space);
         let problems = floating_pieces(mesh, &space, &fixed, true);
         if !problems.is_empty() {
@@ -146,11 +149,11 @@ impl System {
             ended(stage);
             lap
         };
-        let unknown_count = dim * space.entity_count();
         let is_fixed = are_fixed(&space, &fixed);
-        let sizes: Vec<usize> =
-            is_fixed.chunks_exact(dim).map(|entity| entity.iter().filter(|&&fixed| !fixed).count()).collect();
-        let free: Vec<u32> = (0..unknown_count as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
+        let free_of = |entity| is_fixed[space.unknowns_of(entity)].iter().filter(|&&fixed| !fixed).count();
+        let sizes: Vec<usize> = (0..space.entity_count()).map(free_of).collect();
+        let free: Vec<u32> =
+            (0..space.unknown_count() as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
         let analyse = || {
             let entities = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
             let graph = BlockGraph::with_sizes(&sizes, entities)?;
@@ -160,7 +163,8 @@ impl System {
             drop(graph);
             Symbolic::new(&Arc::new(pattern))
         };
-        let cells = Cells { mesh, space: &space, materials: &materials, fixed: &is_fixed, extra: &[] };
+        let stabilisation = model.stabilisation;
+        let cells = Cells { mesh, space: &space, materials: &materials, stabilisation, fixed: &is_fixed, extra: &[] };
         // The analysis is sequential and leaves a core idle; it stays on this thread, whose memory the next stages use again.
         let mut divergence = None;
         let symbolic = rayon::in_place_scope(|scope| {
@@ -195,6 +199,7 @@ impl System {
             setup,
             space,
             materials,
+            stabilisation,
             fixed,
             free,
             divergence,
@@ -228,7 +233,8 @@ impl System {
         let clock = Instant::now();
         let mut stiffness = SparseSymmetric::zeros(Arc::clone(self.cholesky.symbolic().pattern()));
         let is_fixed = are_fixed(&self.space, &self.fixed);
-        let cells = Cells { mesh, space: &self.space, materials: &self.materials, fixed: &is_fixed, extra };
+        let Self { space, materials, stabilisation, .. } = self;
+        let cells = Cells { mesh, space, materials, stabilisation: *stabilisation, fixed: &is_fixed, extra };
         self.fixed_rows = cells.add_stiffness(&self.fixed, &mut stiffness)?;
         add_springs(&self.space, &self.springs, &mut stiffness)?;
         self.work.assembly += clock.elapsed();
@@ -281,6 +287,7 @@ struct Cells<'a> {
     mesh: &'a Mesh,
     space: &'a Space,
     materials: &'a [CellMaterial],
+    stabilisation: Stabilisation,
     /// Whether each unknown is.
     fixed: &'a [bool],
     /// Added to λ of each cell in the consistent part (Pa); empty for none.
@@ -301,16 +308,19 @@ struct Local {
 impl Cells<'_> {
     fn fill_numbers(&self, cell: usize, local: &mut Local) {
         self.space.fill_unknowns(self.mesh, cell, &mut local.unknowns);
-        let dim = self.space.dim() as u32;
         local.numbers.clear();
-        local.unknowns.entities.iter().for_each(|e| local.numbers.extend(e * dim..(e + 1) * dim));
+        for &entity in &local.unknowns.entities {
+            let Range { start, end } = self.space.unknowns_of(entity as usize);
+            local.numbers.extend(start as u32..end as u32);
+        }
     }
 
     fn fill_stiffness(&self, cell: usize, local: &mut Local) {
         self.space.fill_operators(self.mesh, cell, &mut local.operators);
-        let m = self.materials[self.mesh.data().cell_region[cell]];
+        let CellMaterial { lambda, mu, .. } = self.materials[self.mesh.data().cell_region[cell]];
         let extra = self.extra.get(cell).copied().unwrap_or(0.0);
-        local.operators.fill_stiffness(self.space.dim(), m.lambda, m.mu, extra, &mut local.functions);
+        let elasticity = Elasticity { lambda, extra, mu, stabilisation: self.stabilisation };
+        elasticity.fill_stiffness(self.space.dim(), &local.operators, &mut local.functions);
     }
 
     /// Adds the rows and columns of A of free unknowns and gives the rows of fixed ones: fixed × unknowns.
@@ -337,7 +347,7 @@ impl Cells<'_> {
                         (0..numbers.len()).partition(|&k| self.fixed[numbers[k] as usize]);
                     let row = |i: usize| &matrix[i * numbers.len()..][..numbers.len()];
                     // One thread computes all cells around an entity, in order.
-                    let owned = |i: &&usize| columns.concern(&[unknowns.entities[*i / self.space.dim()]]);
+                    let owned = |i: &&usize| columns.concern(&[unknowns.entity_of(self.space.dim(), **i)]);
                     for &i in fixed.iter().filter(owned) {
                         let entries = numbers.iter().zip(row(i));
                         rows.extend(entries.map(|(&column, &v)| (row_of(numbers[i]), column, v)));
@@ -357,17 +367,19 @@ impl Cells<'_> {
     /// div_K: cells × unknowns (1/m).
     fn divergence(&self) -> Result<Csr, linear::Error> {
         let dim = self.space.dim();
-        let lengths = (0..self.mesh.cell_count()).map(|cell| dim * self.space.cell_entity_count(self.mesh, cell));
+        let lengths = (0..self.mesh.cell_count()).map(|cell| self.space.cell_unknown_count(self.mesh, cell));
         Csr::by_rows(
             self.fixed.len(),
             lengths,
             Default::default,
-            |scratch: &mut (Local, Vec<Vec3>), cell, columns, values| {
-                let (local, gradients) = scratch;
+            |scratch: &mut (Local, Vec<Vec3>, Vec<Vec3>), cell, columns, values| {
+                let (local, gradients, directions) = scratch;
                 self.fill_numbers(cell, local);
                 columns.copy_from_slice(&local.numbers);
-                self.space.fill_gradients(self.mesh, cell, gradients);
-                let components = gradients.iter().flat_map(|g| g.to_array().into_iter().take(dim));
+                self.space.fill_gradients(self.mesh, cell, gradients, directions);
+                let (vectors, normals) = gradients.split_at(gradients.len() - directions.len());
+                let components = (vectors.iter().flat_map(|g| g.to_array().into_iter().take(dim)))
+                    .chain(normals.iter().zip(directions.iter()).map(|(g, n)| g.dot(*n)));
                 if local.unknowns.bubbles.is_none() {
                     values.iter_mut().zip(components).for_each(|(value, g)| *value = g);
                 } else {
@@ -378,9 +390,29 @@ impl Cells<'_> {
     }
 }
 
+/// Whether a face is to have a normal bubble.
+fn normal_bubbles<'a>(mesh: &'a Mesh, model: &'a Model) -> impl Fn(usize) -> bool + 'a {
+    let data = mesh.data();
+    let needs = move |cell: usize| {
+        let region = &data.regions[data.cell_region[cell]];
+        let material = &model.materials[region];
+        let undrained = model.undrained.as_ref().map_or(0.0, |add| add(region, mesh.geometry().cell_diameter[cell]));
+        mesh.cell_vertices(cell).len() <= 1 << mesh.dim()
+            && material.lambda() + undrained > NormalBubbles::STIFF * material.mu()
+    };
+    move |face| match model.normal_bubbles {
+        NormalBubbles::None => false,
+        NormalBubbles::All => true,
+        NormalBubbles::Auto => {
+            let (first, second) = mesh.face_cells(face);
+            needs(first) || second.is_some_and(needs)
+        }
+    }
+}
+
 /// Whether each unknown is prescribed.
 fn are_fixed(space: &Space, fixed: &[Fixed]) -> Vec<bool> {
-    let mut result = vec![false; space.dim() * space.entity_count()];
+    let mut result = vec![false; space.unknown_count()];
     fixed.iter().for_each(|f| result[f.unknown] = true);
     result
 }

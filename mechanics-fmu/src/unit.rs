@@ -4,6 +4,7 @@
 //! that does not converge is discarded. The state of the unit is the equilibrium at the present time with the inputs and
 //! parameters that the host has set.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,7 +19,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     BoundaryPoint, Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann,
-    NewtonSettings, Outcome, Partner, PartnerResponse, Place, State,
+    NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Stabilisation, State,
+    UndrainedFunction,
 };
 
 /// Contact mechanics behind the FMI.
@@ -643,6 +645,16 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<Model, UnitError> {
         model::Bubbles::OneSided => Bubbles::OneSided,
         model::Bubbles::TwoSided => Bubbles::TwoSided,
     };
+    problem.normal_bubbles = match mechanics.normal_bubbles {
+        model::NormalBubbles::Auto => NormalBubbles::Auto,
+        model::NormalBubbles::None => NormalBubbles::None,
+        model::NormalBubbles::All => NormalBubbles::All,
+    };
+    problem.undrained = undrained(description, mesh.dim());
+    problem.stabilisation = match mechanics.stabilisation {
+        model::Stabilisation::Matched => Stabilisation::Matched,
+        model::Stabilisation::Published => Stabilisation::Published,
+    };
     let defaults = NewtonSettings::default();
     problem.newton = NewtonSettings {
         beta_factor: mechanics.newton.beta_factor.map_or(defaults.beta_factor, |v| v.0),
@@ -650,6 +662,33 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<Model, UnitError> {
         tolerance: mechanics.newton.tolerance.map_or(defaults.tolerance, |v| v.0),
     };
     Ok(problem)
+}
+
+/// What undrained pores add to λ: b²M, in cells out of which pressure does not diffuse within the first time step.
+fn undrained(description: &model::Model, dim: usize) -> Option<UndrainedFunction> {
+    let flow = description.flow.as_ref()?;
+    let time = &description.time;
+    let step = time.step.map_or(time.end.0 - time.start.0, |step| step.0);
+    let fluid = flow.fluid.bulk_modulus.map_or(0.0, |k| 1.0 / k.0);
+    let mut regions = BTreeMap::new();
+    for (name, region) in &description.regions {
+        let (Some(young), Some(poisson)) = (region.young_modulus, region.poisson_ratio) else { continue };
+        let (young_modulus, poisson_ratio) = (young.0, poisson.0);
+        let biot = region.biot_coefficient.0;
+        let drained = Material { young_modulus, poisson_ratio, biot_coefficient: biot };
+        let storage = region.biot_modulus.map_or(0.0, |m| 1.0 / m.0) + region.porosity.0 * fluid;
+        let rows = region.permeability.as_ref().map_or([[0.0; 3]; 3], |k| k.rows(dim));
+        let permeability = (0..dim).map(|i| rows[i][i]).fold(0.0, f64::max);
+        // Of the pressure, where the rock may move in one direction only.
+        let capacity = storage + biot * biot / (drained.lambda() + 2.0 * drained.mu());
+        let diffusivity = permeability / (flow.fluid.viscosity.0 * capacity);
+        let added = if biot > 0.0 { biot * biot / storage } else { 0.0 };
+        regions.insert(name.clone(), (added, (diffusivity * step).sqrt()));
+    }
+    Some(Arc::new(move |region, diameter| match regions.get(region) {
+        Some(&(added, way)) if way < diameter => added,
+        _ => 0.0,
+    }))
 }
 
 fn vector(components: &[model::Function], x: Vec3, time: f64) -> Vec3 {

@@ -1,6 +1,7 @@
 //! Benchmarks of the literature and what the studies and the tests share.
 
 pub mod contact_cases;
+pub mod locking;
 pub mod memory;
 pub mod monolithic;
 pub mod norms;

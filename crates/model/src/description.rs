@@ -306,6 +306,11 @@ pub struct Mechanics {
     pub body_force: Option<Vec<Value>>,
     /// On which sides of a fracture the displacement has a bubble.
     pub bubbles: Bubbles,
+    /// On which faces of the rock the displacement has a normal bubble, which keeps nearly incompressible or undrained rock from
+    /// locking and its pressure from oscillating.
+    pub normal_bubbles: NormalBubbles,
+    /// Weight of the stabilisation.
+    pub stabilisation: Stabilisation,
     /// Newton's method.
     pub newton: Newton,
 }
@@ -370,6 +375,32 @@ pub enum Bubbles {
     OneSided,
     /// On both sides.
     TwoSided,
+}
+
+/// On which faces of the rock the displacement has a normal bubble.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalBubbles {
+    /// On those of cells that need it: triangles, quadrilaterals, tetrahedra and other cells with at most eight vertices, of rock
+    /// that hardly changes its volume, because its Poisson's ratio is near ½ or because its pore fluid cannot leave within a
+    /// time step.
+    #[default]
+    Auto,
+    /// On no face.
+    None,
+    /// On all inner faces.
+    All,
+}
+
+/// Weight of the stabilisation of virtual elements.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Stabilisation {
+    /// Matched to the shear energy of bi- and trilinear functions.
+    #[default]
+    Matched,
+    /// h^{d−2} (2μ+λ), of the published tables: 3 (2D) to 12 (3D) times too stiff.
+    Published,
 }
 
 /// Settings of the semi-smooth Newton method; left out: those of the unit.

@@ -53,7 +53,7 @@ impl Mechanics {
             forces[f.unknown] += force;
             external[f.unknown] += force;
         }
-        let first = self.system.space.first_jump() * d;
+        let first = self.system.space.first_jump_unknown();
         let (mut friction, mut springs) = (0.0, 0.0);
         for (i, face) in self.faces.iter().enumerate() {
             for c in 0..d {

@@ -11,7 +11,7 @@ impl Mechanics {
     pub(super) fn loads(&self, time: f64) -> Result<Vec<f64>, MechanicsError> {
         let d = self.mesh.dim();
         let geometry = self.mesh.geometry();
-        let mut f = vec![0.0; d * self.system.space.entity_count()];
+        let mut f = vec![0.0; self.system.space.unknown_count()];
         let finite = |what: &str, p: Vec3, value: Vec3| {
             if value.is_finite() {
                 return Ok(());
@@ -31,6 +31,12 @@ impl Mechanics {
                     for c in 0..d {
                         f[node * d + c] += geometry.cell_measure[cell] * w * value[c];
                     }
+                }
+                // As the pressure −f·(x_σ − x_K), so that a column at rest under its weight has no bubbles.
+                let space = &self.system.space;
+                for (entity, face, sign) in space.normal_bubbles(&self.mesh, cell) {
+                    let potential = value.dot(geometry.face_center[face] - p);
+                    f[space.unknowns_of(entity).start] += sign * geometry.face_vector[face].length() * potential;
                 }
             }
         }

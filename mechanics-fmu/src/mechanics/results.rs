@@ -115,9 +115,16 @@ impl Mechanics {
                 let operators = space.operators(&self.mesh, cell);
                 let mut gradient = [Vec3::ZERO; 3];
                 let values = self.function_values(state, cell);
-                for (g, v) in operators.gradient.iter().zip(values.chunks_exact(d)) {
+                let (vectors, normals) = values.split_at(d * operators.vector_count);
+                let (of_vectors, of_normals) = operators.gradient.split_at(operators.vector_count);
+                for (g, v) in of_vectors.iter().zip(vectors.chunks_exact(d)) {
                     for c in 0..d {
                         gradient[c] += v[c] * *g;
+                    }
+                }
+                for ((g, n), w) in of_normals.iter().zip(&operators.direction).zip(normals) {
+                    for c in 0..d {
+                        gradient[c] += w * n[c] * *g;
                     }
                 }
                 gradient
@@ -143,12 +150,12 @@ impl Mechanics {
             .collect()
     }
 
-    /// The values of a cell's functions, nodes and then bubbles (m): functions × d.
+    /// The values of a cell's functions (m): d for each node and each vector bubble, then one for each normal bubble.
     fn function_values(&self, state: &State, cell: usize) -> Vec<f64> {
-        let d = self.mesh.dim();
-        let unknowns = self.system.space.unknowns(&self.mesh, cell);
-        let own: Vec<f64> =
-            (unknowns.entities.iter()).flat_map(|&e| state.unknowns[e as usize * d..][..d].iter().copied()).collect();
+        let space = &self.system.space;
+        let unknowns = space.unknowns(&self.mesh, cell);
+        let of = |&entity: &u32| state.unknowns[space.unknowns_of(entity as usize)].iter().copied();
+        let own: Vec<f64> = unknowns.entities.iter().flat_map(of).collect();
         match &unknowns.bubbles {
             None => own,
             Some(p) => p.chunks_exact(own.len()).map(|row| row.iter().zip(&own).map(|(p, v)| p * v).sum()).collect(),

@@ -45,7 +45,7 @@ impl History {
 impl State {
     /// Jump ⟦u⟧ (m) in the basis (n⁺, t₁[, t₂]) of each face: fracture faces × d.
     pub fn jump(&self, space: &Space) -> &[f64] {
-        &self.unknowns[space.first_jump() * space.dim()..]
+        &self.unknowns[space.first_jump_unknown()..]
     }
 
     /// Number of faces in a contact state.
@@ -60,7 +60,7 @@ impl Mechanics {
         let jumps = self.faces.len() * self.mesh.dim();
         State {
             time,
-            unknowns: vec![0.0; self.mesh.dim() * self.system.space.entity_count()],
+            unknowns: vec![0.0; self.system.space.unknown_count()],
             multiplier: vec![0.0; jumps],
             contact: vec![ContactState::Stick; self.faces.len()],
             initial_divergence: vec![0.0; self.mesh.cell_count()],
@@ -92,7 +92,7 @@ impl Mechanics {
     pub(super) fn check_state(&self, state: &State) -> Result<(), MechanicsError> {
         let (d, faces) = (self.mesh.dim(), self.faces.len());
         for (field, found, expected) in [
-            ("displacement", state.unknowns.len(), d * self.system.space.entity_count()),
+            ("displacement", state.unknowns.len(), self.system.space.unknown_count()),
             ("multiplier", state.multiplier.len(), d * faces),
             ("contact state", state.contact.len(), faces),
             ("initial divergence", state.initial_divergence.len(), self.mesh.cell_count()),

@@ -1,6 +1,6 @@
 //! Identities of the local operators on every cell of the zoo.
 
-use mechanics_fmu::{Bubbles, Space};
+use mechanics_fmu::{Bubbles, Elasticity, Space, Stabilisation};
 use mesh::generate::cartesian;
 use mesh::{Mesh, Side, Vec3};
 
@@ -21,8 +21,10 @@ fn linear(dim: usize, x: Vec3) -> Vec3 {
 fn each(mut test: impl FnMut(&str, &Mesh, &Space, usize)) {
     for (name, mesh) in animals() {
         for bubbles in BOTH {
-            let space = Space::new(&mesh, bubbles);
-            (0..mesh.cell_count()).for_each(|cell| test(name, &mesh, &space, cell));
+            for normal in [false, true] {
+                let space = Space::with_normal_bubbles(&mesh, bubbles, |_| normal);
+                (0..mesh.cell_count()).for_each(|cell| test(name, &mesh, &space, cell));
+            }
         }
     }
 }
@@ -48,7 +50,7 @@ fn linear_fields_are_reproduced() {
             let row: Vec3 = (0..n).map(|k| linear(d, x(k))[c] * o.gradient[k]).sum();
             let wanted = if d == 2 { A[c].with_z(0.0) } else { A[c] };
             assert!(row.distance(wanted) <= ROUND_OFF * lever * size * 4.0, "{at}: gradient {row}, not {wanted}");
-            let m = o.gradient.len();
+            let m = o.vector_count;
             for (s, residual) in o.residual.chunks_exact(m).enumerate() {
                 let rest: f64 = (0..n).map(|k| linear(d, x(k))[c] * residual[k]).sum();
                 let terms = 4.0 * size * (1.0 + lever * o.diameter);
@@ -91,7 +93,13 @@ fn the_divergence_theorem_holds_with_bubbles() {
         let list = mesh.cell_vertices(cell);
         let bubble = |k: usize| flat(value(1000 + k));
         let mut inside: f64 = o.gradient[..o.vertex_count].iter().zip(list).map(|(g, &v)| g.dot(own(v))).sum();
-        inside += o.gradient[o.vertex_count..].iter().enumerate().map(|(k, g)| g.dot(bubble(k))).sum::<f64>();
+        let vectors = &o.gradient[o.vertex_count..o.vector_count];
+        inside += vectors.iter().enumerate().map(|(k, g)| g.dot(bubble(k))).sum::<f64>();
+        let through = |face: usize| (0.7 * face as f64).sin();
+        let normal: Vec<_> = space.normal_bubbles(mesh, cell).collect();
+        for ((g, n), &(_, face, _)) in o.gradient[o.vector_count..].iter().zip(&o.direction).zip(&normal) {
+            inside += through(face) * g.dot(*n);
+        }
         inside *= o.measure;
         let (mut outside, mut terms) = (0.0, 0.0);
         for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
@@ -100,7 +108,11 @@ fn the_divergence_theorem_holds_with_bubbles() {
             terms += size;
         }
         let bubbles: Vec<_> = space.bubble_sides(cell).collect();
-        assert_eq!(bubbles.len(), o.gradient.len() - o.vertex_count);
+        assert_eq!(bubbles.len(), o.vector_count - o.vertex_count);
+        assert_eq!(normal.len(), o.gradient.len() - o.vector_count);
+        for (_, face, sign) in normal {
+            outside += sign * mesh.geometry().face_vector[face].length() * through(face);
+        }
         for (k, (i, side)) in bubbles.into_iter().enumerate() {
             let sign = if side == Side::Plus { 1.0 } else { -1.0 };
             outside += sign * mesh.geometry().face_vector[mesh.network().faces[i]].dot(bubble(k));
@@ -118,8 +130,8 @@ fn the_stiffness_of_a_linear_field_is_that_of_its_stress() {
     each(|name, mesh, space, cell| {
         let d = mesh.dim();
         let o = space.operators(mesh, cell);
-        let a = o.stiffness(d, lambda, mu, 0.0);
-        let width = o.gradient.len() * d;
+        let a = Elasticity { lambda, extra: 0.0, mu, stabilisation: Stabilisation::Matched }.stiffness(d, &o);
+        let width = o.vector_count * d + o.direction.len();
         let scale = a.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         let mut field = vec![0.0; width];
         for (k, &v) in mesh.cell_vertices(cell).iter().enumerate() {
@@ -130,7 +142,11 @@ fn the_stiffness_of_a_linear_field_is_that_of_its_stress() {
         let size = field.iter().fold(0.0f64, |m, v| m.max(v.abs())) * width as f64;
         for row in 0..width {
             let force: f64 = (0..width).map(|k| a[row * width + k] * field[k]).sum();
-            let wanted: f64 = (0..d).map(|c| o.measure * stress(row % d, c) * o.gradient[row / d][c]).sum();
+            let strained = |g: Vec3, b: usize| (0..d).map(|c| o.measure * stress(b, c) * g[c]).sum::<f64>();
+            let wanted: f64 = match row.checked_sub(o.vector_count * d) {
+                None => strained(o.gradient[row / d], row % d),
+                Some(k) => (0..d).map(|b| o.direction[k][b] * strained(o.gradient[o.vector_count + k], b)).sum(),
+            };
             let at = format!("{name}, cell {cell}, row {row}");
             assert!((force - wanted).abs() <= ROUND_OFF * scale * size, "{at}: {force}, not {wanted}");
             for column in 0..row {
@@ -169,7 +185,10 @@ fn bubbles_follow_from_jumps() {
                 for (k, (i, side)) in space.bubble_sides(cell).enumerate() {
                     let jump: Vec3 = (0..d).map(|c| g[c] * space.basis(i)[c]).sum();
                     let minus = if bubbles == Bubbles::TwoSided { w } else { Vec3::ZERO };
-                    let wanted = if side == Side::Plus { jump + minus } else { minus };
+                    // The normal jump is a flux over |σ|.
+                    let (face, n) = (mesh.network().faces[i], space.basis(i)[0]);
+                    let warp = mesh.geometry().face_measure[face] / mesh.geometry().face_vector[face].length();
+                    let wanted = if side == Side::Plus { jump + (warp - 1.0) * g.x * n + minus } else { minus };
                     for c in 0..d {
                         let found = functions[(first + k) * d + c];
                         assert!((found - wanted[c]).abs() <= 1e-14 * 10.0, "{name}: bubble {found}, not {}", wanted[c]);
@@ -189,7 +208,8 @@ fn the_stabilisation_of_a_cube_is_that_of_trilinear_functions() {
         let cells = if dim == 2 { [1, 1, 0] } else { [1; 3] };
         let mesh = Mesh::new(cartesian(Vec3::ZERO, Vec3::splat(size), cells)).unwrap();
         let operators = Space::new(&mesh, Bubbles::OneSided).operators(&mesh, 0);
-        let stiffness = operators.stiffness(dim, 0.0, mu, 0.0);
+        let elasticity = Elasticity { lambda: 0.0, extra: 0.0, mu, stabilisation: Stabilisation::Matched };
+        let stiffness = elasticity.stiffness(dim, &operators);
         let center = mesh.geometry().cell_center[0];
         let value = |x: Vec3| (x.x - center.x) * (x.y - center.y);
         let n = operators.vertex_count;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, Partner, State,
+    Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, NormalBubbles, Partner, State,
 };
 use mesh::generate::cartesian;
 use mesh::{Mesh, Vec3};
@@ -52,11 +52,11 @@ fn node_errors(mechanics: &Mechanics, state: &State, exact: impl Fn(Vec3) -> Vec
 }
 
 /// Linear displacement, uniform pressures in rock and fractures, Dirichlet data but for the top, which has a traction.
-fn press(name: &str, mesh: &Arc<Mesh>, bubbles: Bubbles, law: &FractureLaw) {
+fn press(name: &str, mesh: &Arc<Mesh>, bubbles: Bubbles, normal_bubbles: NormalBubbles, law: &FractureLaw) {
     let d = mesh.dim();
     let (p_m, p_f) = (2e6, 1e6);
     let mut model = model(mesh, law);
-    model.bubbles = bubbles;
+    (model.bubbles, model.normal_bubbles) = (bubbles, normal_bubbles);
     hold(&mut model, d, &sides_without(d, &["top"]), move |p, _| linear(d, p.at));
     let up = if d == 2 { Vec3::Y } else { Vec3::Z };
     let biot = rock().biot_coefficient;
@@ -99,16 +99,18 @@ fn press(name: &str, mesh: &Arc<Mesh>, bubbles: Bubbles, law: &FractureLaw) {
 #[test]
 fn linear_displacement_with_fractures_stuck() {
     for (name, mesh) in animals() {
-        BOTH.iter().for_each(|&bubbles| press(name, &mesh, bubbles, &coulomb(1.0, 0.0)));
+        for normal in [NormalBubbles::None, NormalBubbles::All] {
+            BOTH.iter().for_each(|&bubbles| press(name, &mesh, bubbles, normal, &coulomb(1.0, 0.0)));
+        }
     }
 }
 
 #[test]
 fn linear_displacement_with_fractures_tied_by_cohesion() {
     for family in ["triangles", "polygons", "tetrahedra", "polyhedra"] {
-        press(family, &mesh(fractured(family)), Bubbles::OneSided, &coulomb(0.0, 1e12));
+        press(family, &mesh(fractured(family)), Bubbles::OneSided, NormalBubbles::None, &coulomb(0.0, 1e12));
         let law = FractureLaw { friction: Friction::Tresca { bound: 1e12 }, ..coulomb(0.0, 0.0) };
-        press(family, &mesh(fractured(family)), Bubbles::TwoSided, &law);
+        press(family, &mesh(fractured(family)), Bubbles::TwoSided, NormalBubbles::All, &law);
     }
 }
 

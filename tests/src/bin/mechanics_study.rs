@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::{Parser, Subcommand};
-use mechanics_fmu::{Bubbles, ContactState, Mechanics, Model, Outcome as StepOutcome, Partner, State};
+use mechanics_fmu::{Bubbles, ContactState, Mechanics, Model, NormalBubbles, Outcome as StepOutcome, Partner, State};
 use mesh::Mesh;
 use tests::contact_cases::{manufactured, network_3d, single_crack, solve_dry};
+use tests::locking::{Because, cantilever, incompressible, penny};
 use tests::plot::{Curve, Outcome, Series, order, plot, slope, table};
 
 #[derive(Parser)]
@@ -43,6 +44,12 @@ enum Study {
         #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
         meshes: u8,
     },
+    /// Nearly incompressible and undrained rock with and without normal bubbles: orders, a cantilever, a penny-shaped crack.
+    Locking {
+        /// Levels of each family.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
+        levels: u8,
+    },
 }
 
 fn main() -> Outcome<()> {
@@ -53,6 +60,7 @@ fn main() -> Outcome<()> {
         Study::Manufactured { levels } => study_manufactured(output, levels.into()),
         Study::SingleCrack { faces } => study_single_crack(output, faces),
         Study::Network3d { meshes } => study_network_3d(output, meshes.into()),
+        Study::Locking { levels } => study_locking(output, levels.into()),
     }
 }
 
@@ -169,6 +177,74 @@ fn study_single_crack(output: &Path, largest: usize) -> Outcome<()> {
         plot(output, &format!("single-crack-{name}"), title, ["distance from the middle (m)", axis], &series, false)?;
     }
     Ok(())
+}
+
+/// λ/μ of the study of locking: Poisson's ratio .25, .495, .49995, .4999995.
+const RATIOS: [f64; 4] = [1.0, 1e2, 1e4, 1e6];
+const SPACES: [(&str, NormalBubbles); 2] = [("none", NormalBubbles::None), ("all", NormalBubbles::All)];
+
+fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
+    let mut rows = Vec::new();
+    let mut curves = [const { Vec::<Series>::new() }; 3];
+    for (family, sizes) in incompressible::FAMILIES {
+        let meshes: Vec<_> = sizes[..levels].iter().map(|&n| incompressible::mesh(family, n)).collect();
+        for (bubbles, normal) in SPACES {
+            for because in [Because::Drained, Because::Undrained] {
+                for ratio in RATIOS.into_iter().filter(|&r| because == Because::Drained || r > 1.0) {
+                    let mut points = [const { Curve::new() }; 3];
+                    for mesh in &meshes {
+                        let (h, cells) = (incompressible::size(mesh), mesh.cell_count());
+                        let e = incompressible::solve(mesh, because, ratio, normal);
+                        let because = if because == Because::Drained { "drained" } else { "undrained" };
+                        let mut row = [family, bubbles, because].map(str::to_owned).to_vec();
+                        row.extend([format!("{ratio:e}"), cells.to_string(), format!("{h:.4}")]);
+                        for (curve, error) in points.iter_mut().zip([e.displacement, e.gradient, e.pressure]) {
+                            row.extend([format!("{error:.3e}"), order(curve.last().copied(), h, error)]);
+                            curve.push((h, error));
+                        }
+                        rows.push(row);
+                    }
+                    if because == Because::Undrained && ratio == 1e6 {
+                        for (series, points) in curves.iter_mut().zip(points) {
+                            series.push((format!("{family}, {bubbles}"), points).into());
+                        }
+                    }
+                }
+            }
+        }
+    }
+    let head =
+        ["family", "bubbles", "rock", "lambda/mu", "cells", "h", "u", "order", "grad u", "order", "p", "order"];
+    table(output, "locking", &head, &rows)?;
+    let names = [("displacement", "displacement"), ("gradient", "gradient"), ("pressure", "pressure")];
+    for (series, (name, title)) in curves.into_iter().zip(names) {
+        let title = format!("Undrained rock, lambda/mu = 1e6: {title}");
+        plot(output, &format!("locking-{name}"), &title, ["h (m)", "relative L2 error"], &series, true)?;
+    }
+
+    let mut rows = Vec::new();
+    for family in ["squares", "triangles", "polygons", "cubes", "tetrahedra"] {
+        for n in [2, 4] {
+            for (bubbles, normal) in SPACES {
+                let mesh = cantilever::mesh(family, n);
+                let cells = mesh.cell_count();
+                let [tip, oscillation] = cantilever::solve(mesh, normal);
+                rows.push(vec![family.into(), cells.to_string(), bubbles.into(), format!("{tip:.3}"), format!("{oscillation:.3}")]);
+            }
+        }
+    }
+    table(output, "locking-cantilever", &["family", "cells", "bubbles", "tip/exact", "error of p"], &rows)?;
+
+    let mut rows = Vec::new();
+    for faces in [4, 6, 8] {
+        let mesh = Arc::new(penny::tetrahedra(faces));
+        for (bubbles, normal) in SPACES {
+            let volume = penny::solve(Arc::clone(&mesh), normal);
+            let faces = mesh.network().face_count();
+            rows.push(vec![mesh.cell_count().to_string(), faces.to_string(), bubbles.into(), format!("{volume:.3}")]);
+        }
+    }
+    table(output, "locking-penny", &["cells", "faces", "bubbles", "volume/exact"], &rows)
 }
 
 fn side(bubbles: Bubbles) -> &'static str {
