@@ -113,8 +113,8 @@ impl Elasticity {
                 }
             }
             for (l, (&nl, &gl)) in cell.direction.iter().zip(&cell.gradient[m..]).enumerate().take(k + 1) {
-                let mut v = shear * (gk.dot(gl) * n.dot(nl) + gk.dot(nl) * gl.dot(n))
-                    + consistent * n.dot(gk) * nl.dot(gl);
+                let mut v =
+                    shear * (gk.dot(gl) * n.dot(nl) + gk.dot(nl) * gl.dot(n)) + consistent * n.dot(gk) * nl.dot(gl);
                 if k == l {
                     v += own;
                 }

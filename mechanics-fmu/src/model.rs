@@ -181,8 +181,9 @@ pub enum NormalBubbles {
     None,
     /// On all inner faces off the fractures.
     All,
-    /// On those of cells that need it: with at most 2^d vertices, as simplices, quadrilaterals and hexahedra, and of rock that
-    /// hardly changes its volume, λ_u > [`STIFF`](Self::STIFF) μ.
+    /// On those of cells that need it: of rock that hardly changes its volume, λ_u > [`STIFF`](Self::STIFF) μ, and with a vertex at
+    /// which more than d + 1 cells meet. Where no more do, as in Voronoi and dual meshes, there are enough vertices for each
+    /// cell to keep its volume.
     #[default]
     Auto,
 }

@@ -42,7 +42,6 @@ use mesh::{Lists, Mat3, Mesh, Side, Vec3, tangents};
 
 use crate::model::Bubbles;
 
-
 /// A fracture face counts as planar where its vertices' normals differ by less than this part of it: round-off.
 const PLANAR: f64 = 1e-12;
 
@@ -135,8 +134,7 @@ impl Space {
             let range = mesh.data().faces.range(face);
             let (weights, vectors) = (&geometry.face_weight[range.clone()], &geometry.face_vertex_vector[range]);
             let (measure, length) = (geometry.face_measure[face], geometry.face_vector[face].length());
-            let planar =
-                weights.iter().zip(vectors).all(|(w, v)| v.distance(w * measure * n) <= PLANAR * measure);
+            let planar = weights.iter().zip(vectors).all(|(w, v)| v.distance(w * measure * n) <= PLANAR * measure);
             warp.push(if planar { 1.0 } else { measure / length });
             let mut list = Vec::new();
             for (cell, sign) in [(Some(first), 1.0), (second, -1.0)] {

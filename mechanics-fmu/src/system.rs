@@ -18,8 +18,8 @@ use linear::{BlockGraph, Cholesky, Csr, DenseSymmetric, Method, Ordering, Patter
 use mesh::{Mesh, Vec3};
 use rayon::prelude::*;
 
-use crate::error::{MechanicsError, ModelProblem};
 use crate::elasticity::Elasticity;
+use crate::error::{MechanicsError, ModelProblem};
 use crate::model::{BoundaryFunction, BoundaryPoint, Model, NormalBubbles, Place, Stabilisation};
 use crate::space::{CellOperators, CellUnknowns, Space};
 
@@ -120,7 +120,8 @@ pub(crate) struct System {
 impl System {
     /// Assembles and factorises; says when each stage has ended.
     pub(crate) fn new(mesh: &Mesh, model: &Model, ended: &mut dyn FnMut(Stage)) -> Result<Self, MechanicsError> {
-        let space = Space::with_normal_bubbles(mesh, model.bubbles, normal_bubbles(mesh, model));
+        let wanted = normal_bubbles(mesh, model);
+        let space = Space::with_normal_bubbles(mesh, model.bubbles, |face| wanted[face]);
         let fixed = fixed_unknowns(mesh, model, &space);
         let problems = floating_pieces(mesh, &space, &fixed, true);
         if !problems.is_empty() {
@@ -152,8 +153,7 @@ impl System {
         let is_fixed = are_fixed(&space, &fixed);
         let free_of = |entity| is_fixed[space.unknowns_of(entity)].iter().filter(|&&fixed| !fixed).count();
         let sizes: Vec<usize> = (0..space.entity_count()).map(free_of).collect();
-        let free: Vec<u32> =
-            (0..space.unknown_count() as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
+        let free: Vec<u32> = (0..space.unknown_count() as u32).filter(|&unknown| !is_fixed[unknown as usize]).collect();
         let analyse = || {
             let entities = (0..mesh.cell_count()).map(|cell| space.unknowns(mesh, cell).entities);
             let graph = BlockGraph::with_sizes(&sizes, entities)?;
@@ -390,22 +390,29 @@ impl Cells<'_> {
     }
 }
 
-/// Whether a face is to have a normal bubble.
-fn normal_bubbles<'a>(mesh: &'a Mesh, model: &'a Model) -> impl Fn(usize) -> bool + 'a {
-    let data = mesh.data();
-    let needs = move |cell: usize| {
-        let region = &data.regions[data.cell_region[cell]];
-        let material = &model.materials[region];
-        let undrained = model.undrained.as_ref().map_or(0.0, |add| add(region, mesh.geometry().cell_diameter[cell]));
-        mesh.cell_vertices(cell).len() <= 1 << mesh.dim()
-            && material.lambda() + undrained > NormalBubbles::STIFF * material.mu()
-    };
-    move |face| match model.normal_bubbles {
-        NormalBubbles::None => false,
-        NormalBubbles::All => true,
+/// Whether each face is to have a normal bubble, apart from what faces may have one.
+fn normal_bubbles(mesh: &Mesh, model: &Model) -> Vec<bool> {
+    match model.normal_bubbles {
+        NormalBubbles::None => vec![false; mesh.face_count()],
+        NormalBubbles::All => vec![true; mesh.face_count()],
         NormalBubbles::Auto => {
-            let (first, second) = mesh.face_cells(face);
-            needs(first) || second.is_some_and(needs)
+            let data = mesh.data();
+            let mut around = vec![0u32; mesh.vertices().len()];
+            mesh.cell_vertex_lists().items().iter().for_each(|&v| around[v] += 1);
+            let needs = |cell: usize| {
+                let region = &data.regions[data.cell_region[cell]];
+                let material = &model.materials[region];
+                let diameter = mesh.geometry().cell_diameter[cell];
+                let undrained = model.undrained.as_ref().map_or(0.0, |add| add(region, diameter));
+                material.lambda() + undrained > NormalBubbles::STIFF * material.mu()
+                    && mesh.cell_vertices(cell).iter().any(|&v| around[v] as usize > mesh.dim() + 1)
+            };
+            let cells: Vec<bool> = (0..mesh.cell_count()).map(needs).collect();
+            let face = |face| {
+                let (first, second) = mesh.face_cells(face);
+                cells[first] || second.is_some_and(|second| cells[second])
+            };
+            (0..mesh.face_count()).map(face).collect()
         }
     }
 }

@@ -19,8 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     BoundaryPoint, Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann,
-    NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Stabilisation, State,
-    UndrainedFunction,
+    NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Stabilisation, State, UndrainedFunction,
 };
 
 /// Contact mechanics behind the FMI.

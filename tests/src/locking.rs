@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    BoundaryPoint, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, NormalBubbles, Outcome,
-    Partner, PartnerResponse, Place, State,
+    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann, NormalBubbles,
+    Outcome, Partner, PartnerResponse, Place, State,
 };
 use mesh::generate::{Triangles, agglomerate, cartesian, dual, extrude, perturb, simplices};
 use mesh::{Mesh, MeshData, Vec3};
@@ -199,11 +199,7 @@ pub mod incompressible {
                 }
             }
         }
-        Errors {
-            displacement: (eu / u2).sqrt(),
-            gradient: (eg / g2).sqrt(),
-            pressure: (ep / p2).sqrt(),
-        }
+        Errors { displacement: (eu / u2).sqrt(), gradient: (eg / g2).sqrt(), pressure: (ep / p2).sqrt() }
     }
 }
 
@@ -252,8 +248,7 @@ pub mod cantilever {
         let (l, d2, y) = (LENGTH, DEPTH * DEPTH, x.y);
         Vec3::new(
             scale * y * ((6.0 * l - 3.0 * x.x) * x.x + (2.0 + nu) * (y * y - 0.25 * d2)),
-            -scale
-                * (3.0 * nu * y * y * (l - x.x) + 0.25 * (4.0 + 5.0 * nu) * d2 * x.x + (3.0 * l - x.x) * x.x * x.x),
+            -scale * (3.0 * nu * y * y * (l - x.x) + 0.25 * (4.0 + 5.0 * nu) * d2 * x.x + (3.0 * l - x.x) * x.x * x.x),
             0.0,
         )
     }
@@ -274,7 +269,17 @@ pub mod cantilever {
             model.dirichlet.extend(["bottom", "top"].map(|tag| Dirichlet::zero(tag, 2)));
         }
         let inertia = DEPTH.powi(3) / 12.0;
-        let shear = move |x: Vec3, _| Vec3::new(0.0, -(0.25 * DEPTH * DEPTH - x.y * x.y) / (2.0 * inertia), 0.0);
+        // Its mean on faces of height h around x.
+        let h = mesh.tagged_faces("right").map(|f| mesh.face_vertices(f));
+        let height = |list: &[usize]| {
+            let y = list.iter().map(|&v| mesh.vertices()[v].y);
+            y.clone().fold(f64::NEG_INFINITY, f64::max) - y.fold(f64::INFINITY, f64::min)
+        };
+        let h = h.map(height).fold(0.0, f64::max);
+        let shear = move |x: Vec3, _| {
+            let mean = 0.25 * DEPTH * DEPTH - x.y * x.y - h * h / 12.0;
+            Vec3::new(0.0, -mean / (2.0 * inertia), 0.0)
+        };
         model.neumann.push(Neumann { tag: "right".into(), traction: Arc::new(shear) });
         let (mechanics, state) = solve_undrained(Arc::clone(&mesh), model, FLUID);
         let end = (mesh.nodes().vertices().iter().enumerate())
@@ -303,7 +308,10 @@ pub mod penny {
     const YOUNG: f64 = 1.0;
     const PRESSURE: f64 = 1e-3;
 
-    /// Tetrahedra with `faces` edges along a radius, and further out up to `size` metres; the body reaches 6 m.
+    /// Tetrahedra with `faces` edges along a radius; further out they grow with the distance.
+    ///
+    /// # Panics
+    /// If the mesh cannot be made.
     pub fn tetrahedra(faces: usize) -> Mesh {
         let arc = (3 * faces).div_ceil(2);
         let point = |k: usize| {
@@ -315,7 +323,7 @@ pub mod penny {
         let h = 1.0 / faces as f64;
         let plan = Triangles::rectangle([0.0; 2], [EXTENT; 2], EXTENT)
             .interface("front", &points, None)
-            .size(move |x| h * (1.0 + 2.0 * (x.length() - 1.0).max(0.0) * 0.5))
+            .size(move |x| h * x.length().max(1.0))
             .build();
         let plan = sound(plan.unwrap_or_else(|e| panic!("{e}")));
         // Layers grow with the distance from the crack.
@@ -335,8 +343,8 @@ pub mod penny {
     const EXTENT: f64 = 6.0;
 
     /// The crack's volume over the exact one of the crack's area.
-    pub fn solve(mesh: Arc<Mesh>, normal_bubbles: NormalBubbles) -> f64 {
-        let mut model = Model { normal_bubbles, ..Model::default() };
+    pub fn solve(mesh: Arc<Mesh>, bubbles: Bubbles, normal_bubbles: NormalBubbles) -> f64 {
+        let mut model = Model { bubbles, normal_bubbles, ..Model::default() };
         let rock = Material { young_modulus: YOUNG, poisson_ratio: POISSON, biot_coefficient: 0.0 };
         model.materials.insert("rock".into(), rock);
         let law = FractureLaw { friction: Friction::None, ..FractureLaw::coulomb(0.0, 1e-6) };

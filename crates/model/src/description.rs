@@ -381,9 +381,9 @@ pub enum Bubbles {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NormalBubbles {
-    /// On those of cells that need it: triangles, quadrilaterals, tetrahedra and other cells with at most eight vertices, of rock
-    /// that hardly changes its volume, because its Poisson's ratio is near ½ or because its pore fluid cannot leave within a
-    /// time step.
+    /// On those of cells that need it: of rock that hardly changes its volume, because its Poisson's ratio is above .45 or because
+    /// pore fluid, which cannot leave a cell within the first time step, makes it so. Cells of Voronoi and dual meshes, at whose
+    /// vertices three (2D) or four (3D) cells meet, need none.
     #[default]
     Auto,
     /// On no face.

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, NormalBubbles, Partner, State,
+    Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, NormalBubbles, Partner,
+    State,
 };
 use mesh::generate::cartesian;
 use mesh::{Mesh, Vec3};

@@ -213,8 +213,7 @@ fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
             }
         }
     }
-    let head =
-        ["family", "bubbles", "rock", "lambda/mu", "cells", "h", "u", "order", "grad u", "order", "p", "order"];
+    let head = ["family", "bubbles", "rock", "lambda/mu", "cells", "h", "u", "order", "grad u", "order", "p", "order"];
     table(output, "locking", &head, &rows)?;
     let names = [("displacement", "displacement"), ("gradient", "gradient"), ("pressure", "pressure")];
     for (series, (name, title)) in curves.into_iter().zip(names) {
@@ -229,7 +228,13 @@ fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
                 let mesh = cantilever::mesh(family, n);
                 let cells = mesh.cell_count();
                 let [tip, oscillation] = cantilever::solve(mesh, normal);
-                rows.push(vec![family.into(), cells.to_string(), bubbles.into(), format!("{tip:.3}"), format!("{oscillation:.3}")]);
+                rows.push(vec![
+                    family.into(),
+                    cells.to_string(),
+                    bubbles.into(),
+                    format!("{tip:.3}"),
+                    format!("{oscillation:.3}"),
+                ]);
             }
         }
     }
@@ -237,14 +242,18 @@ fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
 
     let mut rows = Vec::new();
     for faces in [4, 6, 8] {
-        let mesh = Arc::new(penny::tetrahedra(faces));
-        for (bubbles, normal) in SPACES {
-            let volume = penny::solve(Arc::clone(&mesh), normal);
-            let faces = mesh.network().face_count();
-            rows.push(vec![mesh.cell_count().to_string(), faces.to_string(), bubbles.into(), format!("{volume:.3}")]);
+        let tetrahedra = Arc::new(penny::tetrahedra(faces));
+        let dual = Arc::new(Mesh::new(mesh::generate::dual(&tetrahedra)?)?);
+        for (family, mesh) in [("tetrahedra", tetrahedra), ("dual polyhedra", dual)] {
+            for (normal, on) in SPACES {
+                let volume = penny::solve(Arc::clone(&mesh), Bubbles::OneSided, on);
+                let counts = [mesh.cell_count(), mesh.network().face_count()].map(|n| n.to_string());
+                let [cells, faces] = counts;
+                rows.push(vec![family.to_owned(), cells, faces, normal.to_owned(), format!("{volume:.3}")]);
+            }
         }
     }
-    table(output, "locking-penny", &["cells", "faces", "bubbles", "volume/exact"], &rows)
+    table(output, "locking-penny", &["family", "cells", "faces", "bubbles", "volume/exact"], &rows)
 }
 
 fn side(bubbles: Bubbles) -> &'static str {
