@@ -131,6 +131,16 @@ impl MechanicsUnit {
         })
     }
 
+    fn about(&self) -> String {
+        let method = "Frictional contact mechanics of a fractured rock: bubble virtual elements, semi-smooth Newton";
+        match self.mechanics.space().normal_bubble_count() {
+            0 => method.to_owned(),
+            n => format!(
+                "{method}. Normal bubbles on {n} faces keep nearly incompressible or undrained rock from locking"
+            ),
+        }
+    }
+
     fn sizes(&self) -> Sizes {
         let mesh = self.mechanics.mesh();
         Sizes { cells: mesh.cell_count(), fracture_faces: mesh.network().face_count(), dim: mesh.dim() }
@@ -393,7 +403,7 @@ impl Unit for MechanicsUnit {
     fn description(&self) -> Description {
         let [start, stop, step] = self.times;
         Description::new(&format!("{} (mechanics)", self.title), "mechanics")
-            .about("Frictional contact mechanics of a fractured rock: bubble virtual elements, semi-smooth Newton")
+            .about(&self.about())
             .version(env!("CARGO_PKG_VERSION"))
             .license(env!("CARGO_PKG_LICENSE"))
             .capabilities(Capabilities {

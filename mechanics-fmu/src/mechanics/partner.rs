@@ -70,7 +70,6 @@ impl Mechanics {
     }
 
     /// Makes the factorisation that of a matrix stiffness of the partner (Pa, cells; empty for 0), as
-
     /// [`response`](Self::response) and [`aperture_compliance`](Self::aperture_compliance) need it at a state that was
     /// found with it, if other time steps have been made since.
     ///

@@ -6,7 +6,7 @@ use mechanics_fmu::{
     Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Neumann, NormalBubbles, Partner,
     State,
 };
-use mesh::generate::cartesian;
+use mesh::generate::{Triangles, cartesian, perturb, simplices};
 use mesh::{Mesh, Vec3};
 
 use crate::common::{
@@ -234,4 +234,73 @@ fn pieces_that_move_apart_leave_constant_jumps_and_no_traction() {
         }
     }
     assert!(tested >= 10, "{tested}");
+}
+
+/// Rock at rest in its pore fluid: with b = 1, the pressure −f·x of simplices balances the weight f, and neither vertices nor normal
+/// bubbles move. (Vertices of other cells do, by the order of the method.)
+#[test]
+fn weight_and_hydrostatic_pressure_balance() {
+    let boxes = perturb(&mesh(cartesian(Vec3::ZERO, Vec3::ONE, [4; 3])), 0.15, 1);
+    let triangles = Triangles::rectangle([0.0; 2], [1.0; 2], 0.15).build().unwrap();
+    for data in [triangles, simplices(&mesh(boxes)).unwrap()] {
+        let mesh = mesh(data);
+        let d = mesh.dim();
+        let weight = Vec3::new(2e3, -2.5e4, if d == 3 { 1e3 } else { 0.0 });
+        let mut model = model(&mesh, &coulomb(0.0, 0.0));
+        model.materials.values_mut().for_each(|m| m.biot_coefficient = 1.0);
+        model.normal_bubbles = NormalBubbles::All;
+        hold(&mut model, d, &sides_without(d, &[]), |_, _| Vec3::ZERO);
+        model.body_force = Some(Arc::new(move |_, _| weight));
+        let mut mechanics = start(&mesh, model);
+        assert!(mechanics.space().normal_bubble_count() > 100);
+        let mut partner = Partner::uniform(&mesh, 0.0);
+        partner.matrix_pressure = mesh.geometry().cell_center.iter().map(|x| weight.dot(*x)).collect();
+        let rest = mechanics.rest(0.0);
+        let (state, _) = step(&mut mechanics, &rest, 1.0, &partner);
+        let (size, moved) = (weight.length() / rock().young_modulus, largest(state.unknowns.iter().copied()));
+        assert!(moved <= ROUND_OFF * size, "{d}D: moved by {moved} of {size}");
+    }
+}
+
+/// A clamped box of warped hexahedra under the same pressure in rock (b = 1) and fracture is in balance: the fracture takes up as
+/// much as its sides give, whatever its shape.
+#[test]
+fn a_warped_fracture_under_one_pressure_neither_slips_nor_opens() {
+    for warp in [0.0, 0.02, 0.05, 0.1] {
+        let n = 4;
+        let mut data = cartesian(Vec3::ZERO, Vec3::ONE, [n; 3]);
+        data.mark_fracture("middle", |x| (x.x - 0.5).abs() < 1e-9 && x.y > 0.24 && x.y < 0.76);
+        let h = 1.0 / n as f64;
+        for (k, x) in data.vertices.iter_mut().enumerate() {
+            if [x.x, x.y, x.z].iter().all(|c| *c > 1e-9 && *c < 1.0 - 1e-9) {
+                x.x += warp * h * if k % 2 == 0 { 1.0 } else { -1.0 };
+                x.y += 0.3 * warp * h * (k as f64).sin();
+            }
+        }
+        let mesh = mesh(data);
+        for bubbles in BOTH {
+            let pressure = 1e7;
+            let mut model = model(&mesh, &coulomb(0.1, 0.0));
+            model.bubbles = bubbles;
+            model.materials.values_mut().for_each(|m| m.biot_coefficient = 1.0);
+            hold(&mut model, 3, &sides_without(3, &[]), |_, _| Vec3::ZERO);
+            let mut mechanics = start(&mesh, model);
+            let partner = Partner::uniform(&mesh, pressure);
+            let rest = mechanics.rest(0.0);
+            let (state, _) = step(&mut mechanics, &rest, 1.0, &partner);
+            let moved = largest(state.unknowns.iter().copied());
+            assert!(moved <= 1e-13 * pressure / rock().young_modulus * 1e3, "{warp}, {bubbles:?}: moved by {moved} m");
+            // Volume of rock and fracture together, of any displacement: this one opens it.
+            let mut opened = Partner::uniform(&mesh, 0.0);
+            opened.fracture_pressure.fill(pressure);
+            let (state, _) = step(&mut mechanics, &rest, 1.0, &opened);
+            let rock: f64 =
+                mechanics.divergence(&state).iter().zip(&mesh.geometry().cell_measure).map(|(d, v)| d * v).sum();
+            let faces = mesh.network().faces.iter().map(|&f| mesh.geometry().face_measure[f]);
+            let fracture: f64 =
+                faces.zip(state.jump(mechanics.space()).chunks_exact(3)).map(|(area, g)| -area * g[0]).sum();
+            assert!(fracture > 1e-5, "{fracture}");
+            assert!((rock + fracture).abs() <= 1e-12 * fracture, "{warp}: {rock} and {fracture}");
+        }
+    }
 }

@@ -234,7 +234,9 @@ impl Command {
                 // Units know best what they refuse.
                 let temporary = pack::temporary("fmus-")?;
                 let paths = run::fmus(&case.document, &mesh, temporary.path())?;
-                run::open(&paths, &case.document, &mesh)?;
+                for about in run::open(&paths, &case.document, &mesh)?.about() {
+                    writeln!(io::stdout(), "{about}").map_err(CliError::Output)?;
+                }
             }
             Self::Pack { model, output, ssp } => {
                 let case = model.load()?;

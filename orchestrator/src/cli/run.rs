@@ -104,6 +104,11 @@ pub(crate) fn open(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<Ope
 }
 
 impl Opened {
+    /// What each unit says of itself.
+    pub(crate) fn about(&self) -> impl Iterator<Item = String> {
+        self.fmus.iter().map(|(name, _, fmu)| format!("{name}: {}", fmu.description().about))
+    }
+
     /// Writes the units and their wiring as an SSP archive.
     pub(crate) fn write_ssp(&self, name: &str, document: &Document, path: &Path) -> Result<(), CliError> {
         let model = &document.model;

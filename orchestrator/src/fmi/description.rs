@@ -79,6 +79,8 @@ pub struct Description {
     pub version: Version,
     /// Name of the model.
     pub model_name: String,
+    /// What the unit says of itself.
+    pub about: String,
     /// Token that the instance is made with.
     pub token: String,
     /// Name of the library, without its ending.
@@ -126,6 +128,7 @@ impl Description {
                             _ => return Err(format!("its FMI version is {version:?}; version 2 or 3 is needed")),
                         };
                         description.model_name = attribute(&e, "modelName")?.unwrap_or_default();
+                        description.about = attribute(&e, "description")?.unwrap_or_default();
                         description.token =
                             attribute(&e, "instantiationToken")?.or(attribute(&e, "guid")?).unwrap_or_default();
                     }
