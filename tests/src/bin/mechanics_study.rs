@@ -181,14 +181,15 @@ fn study_single_crack(output: &Path, largest: usize) -> Outcome<()> {
 
 /// λ/μ of the study of locking: Poisson's ratio .25, .495, .49995, .4999995.
 const RATIOS: [f64; 4] = [1.0, 1e2, 1e4, 1e6];
-const SPACES: [(&str, NormalBubbles); 2] = [("none", NormalBubbles::None), ("all", NormalBubbles::All)];
+const SPACES: [(&str, NormalBubbles); 2] = [("no", NormalBubbles::None), ("all", NormalBubbles::All)];
 
 fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
     let mut rows = Vec::new();
-    let mut curves = [const { Vec::<Series>::new() }; 3];
+    // Of each space: u, ∇u, p.
+    let mut curves = [const { [const { Vec::<Series>::new() }; 3] }; 2];
     for (family, sizes) in incompressible::FAMILIES {
         let meshes: Vec<_> = sizes[..levels].iter().map(|&n| incompressible::mesh(family, n)).collect();
-        for (bubbles, normal) in SPACES {
+        for ((bubbles, normal), curves) in SPACES.into_iter().zip(&mut curves) {
             for because in [Because::Drained, Because::Undrained] {
                 for ratio in RATIOS.into_iter().filter(|&r| because == Because::Drained || r > 1.0) {
                     let mut points = [const { Curve::new() }; 3];
@@ -206,7 +207,7 @@ fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
                     }
                     if because == Because::Undrained && ratio == 1e6 {
                         for (series, points) in curves.iter_mut().zip(points) {
-                            series.push((format!("{family}, {bubbles}"), points).into());
+                            series.push((family.to_owned(), points).into());
                         }
                     }
                 }
@@ -215,10 +216,12 @@ fn study_locking(output: &Path, levels: usize) -> Outcome<()> {
     }
     let head = ["family", "bubbles", "rock", "lambda/mu", "cells", "h", "u", "order", "grad u", "order", "p", "order"];
     table(output, "locking", &head, &rows)?;
-    let names = [("displacement", "displacement"), ("gradient", "gradient"), ("pressure", "pressure")];
-    for (series, (name, title)) in curves.into_iter().zip(names) {
-        let title = format!("Undrained rock, lambda/mu = 1e6: {title}");
-        plot(output, &format!("locking-{name}"), &title, ["h (m)", "relative L2 error"], &series, true)?;
+    for ((bubbles, _), curves) in SPACES.into_iter().zip(curves) {
+        for (series, name) in curves.into_iter().zip(["displacement", "gradient", "pressure"]) {
+            let title = format!("Undrained rock, λ/μ = 1e6, normal bubbles on {bubbles} faces: {name}");
+            let file = format!("locking-{name}-{bubbles}");
+            plot(output, &file, &title, ["h (m)", "relative L2 error"], &series, true)?;
+        }
     }
 
     let mut rows = Vec::new();
