@@ -125,6 +125,11 @@ pub enum MechanicsError {
         /// Slipping faces.
         slipping: usize,
     },
+    /// There is no factorisation, as the last call that was to make one failed.
+    #[error(
+        "the stiffness is not factorised, as the last attempt failed; call `follow` with a matrix stiffness of the partner that can be"
+    )]
+    Unfactorised,
     /// The bulk stiffness could not be factorised.
     #[error("the stiffness could not be factorised: {0}")]
     Linear(#[from] linear::Error),

@@ -23,6 +23,7 @@
 pub mod contact;
 pub mod elasticity;
 pub mod error;
+mod joint;
 mod linearised;
 pub mod mechanics;
 pub mod model;
@@ -34,10 +35,12 @@ pub mod unit;
 pub use contact::ContactState;
 pub use elasticity::Elasticity;
 pub use error::{MechanicsError, ModelProblem};
-pub use mechanics::{Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, State, StepReport, StepTimes};
+pub use mechanics::{
+    Discard, Energy, Mechanics, Outcome, Partner, PartnerResponse, Response, Scalars, State, StepReport, StepTimes,
+};
 pub use model::{
-    BoundaryPoint, Bubbles, Dirichlet, FractureLaw, Friction, Material, Model, Neumann, NewtonSettings, NormalBubbles,
-    Place, Stabilisation, UndrainedFunction,
+    BoundaryPoint, Bubbles, DEFAULT_RESIDUAL, Dilation, Dirichlet, FractureLaw, Friction, Material, Model, Neumann,
+    NewtonSettings, NormalBubbles, Place, Stabilisation, UndrainedFunction,
 };
 pub use newton::NewtonReport;
 pub use space::Space;

@@ -7,7 +7,8 @@
 //! T S v + H v = b
 //! ```
 //!
-//! T and H acting face by face. It is solved by GMRES, preconditioned with what is made once for all laws, S⁻¹: on the unknown
+//! T and H acting face by face. Where the normal component is given, v carries it with the slip as dilation wants it
+//! ([`Linearised::carried`]). It is solved by GMRES, preconditioned with what is made once for all laws, S⁻¹: on the unknown
 //! components, with s the mean of the diagonal of S on a face,
 //!
 //! ```text
@@ -55,7 +56,7 @@ pub(crate) struct LinearisedProblem<'a, 'l> {
     pub(crate) laws: &'l [Linearised],
 }
 
-/// What the preconditioner does on a face.
+/// What the preconditioner does on a face. What slip carries along is left to GMRES.
 struct Weights {
     /// The column of T⁻¹ below the diagonal.
     lower: Local,
@@ -103,8 +104,18 @@ impl LinearisedProblem<'_, '_> {
         (x, residual)
     }
 
-    /// An entry of T S + H; the rows of T reach the normal component and their own.
+    /// An entry of T S + H in the unknown components, with what they carry; the rows of T reach the normal component and
+    /// their own.
     fn entry(&self, row: usize, column: usize) -> f32 {
+        let carried = self.laws[column / self.dim].carried[column % self.dim];
+        let mut v = self.plain_entry(row, column);
+        if carried != 0.0 {
+            v += carried * self.plain_entry(row, column - column % self.dim);
+        }
+        v as f32
+    }
+
+    fn plain_entry(&self, row: usize, column: usize) -> f64 {
         let (i, c) = (row / self.dim, row % self.dim);
         let law = &self.laws[i];
         let mut v = law.t[c][c] * f64::from(self.schur.single.get(row, column));
@@ -114,7 +125,18 @@ impl LinearisedProblem<'_, '_> {
         if column / self.dim == i {
             v += law.h[c][column % self.dim];
         }
-        v as f32
+        v
+    }
+
+    /// Adds to the given normal components what the unknown ones carry along.
+    pub(crate) fn carry(&self, v: &mut [f64]) {
+        for (own, law) in v.chunks_exact_mut(self.dim).zip(self.laws) {
+            for c in 1..self.dim {
+                if law.carried[c] != 0.0 {
+                    own[0] += law.carried[c] * own[c];
+                }
+            }
+        }
     }
 
     fn weights(&self, face: usize) -> Weights {
@@ -165,6 +187,14 @@ impl LinearisedProblem<'_, '_> {
     /// y = T S v + H v, zero where the jump is given.
     fn apply(&self, v: &[f64], y: &mut [f64]) {
         let d = self.dim;
+        let mut with_carried;
+        let v = if self.laws.iter().any(|law| law.carried != [0.0; 3]) {
+            with_carried = v.to_vec();
+            self.carry(&mut with_carried);
+            &with_carried
+        } else {
+            v
+        };
         let force = single_product(self.schur.single, v);
         for (i, law) in self.laws.iter().enumerate() {
             let at = i * d;

@@ -5,16 +5,18 @@
 //! - `loads`: loads and prescribed displacements.
 //! - `step`: time steps, and `energy`: their energy balance.
 //! - `response`: linearised responses of a state.
-//! - `results`: what else follows from a state.
+//! - `results`: what else follows from a state, and `scalars`: what sums it up.
 
 mod energy;
 mod loads;
 mod partner;
 mod response;
 mod results;
+mod scalars;
 mod state;
 mod step;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use linear::{Forward, Scratch};
@@ -31,9 +33,10 @@ use crate::system::{CellMaterial, SetupReport, Stage, System, Work};
 pub use energy::Energy;
 pub use partner::{Partner, PartnerResponse};
 pub use response::Response;
+pub use scalars::Scalars;
 pub(crate) use state::History;
 pub use state::State;
-pub use step::{Outcome, StepReport, StepTimes};
+pub use step::{Discard, Outcome, StepReport, StepTimes};
 
 /// Work space of solves.
 #[derive(Default)]
@@ -48,8 +51,8 @@ pub struct Mechanics {
     model: Model,
     system: System,
     faces: Vec<Face>,
-    /// The S of the present factorisation; empty for none.
-    stiffness_response: Vec<f64>,
+    /// The S of the present factorisation, empty for 0; `None` where factorising failed.
+    factorised_for: Option<Vec<f64>>,
     buffers: Buffers,
 }
 
@@ -76,13 +79,15 @@ impl Mechanics {
             let name = &mesh.data().fractures[fracture];
             let Some(law) = model.fractures.get(name) else { continue };
             let p = geometry.face_center[face];
-            let value = (law.contact_aperture)(p, 0.0);
-            if !(value > 0.0 && value.is_finite()) {
-                let what = format!("the contact aperture of fracture \"{name}\"");
-                let (x, y, z) = (p.x, p.y, p.z);
-                problems.push(ModelProblem::Function { what, x, y, z, time: 0.0, value, allowed: "finite and > 0 m" });
-            }
-            apertures.push((law, value));
+            let aperture = (law.contact_aperture)(p, 0.0);
+            law.check_aperture(aperture, |ok, what, value, allowed| {
+                if !ok {
+                    let what = format!("{what} of fracture \"{name}\"");
+                    let (x, y, z) = (p.x, p.y, p.z);
+                    problems.push(ModelProblem::Function { what, x, y, z, time: 0.0, value, allowed });
+                }
+            });
+            apertures.push((law, aperture));
         }
         if !problems.is_empty() {
             return Err(MechanicsError::Model(problems));
@@ -96,7 +101,7 @@ impl Mechanics {
                 Face::new(law, measure, local / measure, model.newton.beta_factor, aperture)
             })
             .collect();
-        Ok(Self { mesh, model, system, faces, stiffness_response: Vec::new(), buffers: Buffers::default() })
+        Ok(Self { mesh, model, system, faces, factorised_for: Some(Vec::new()), buffers: Buffers::default() })
     }
 
     /// The mesh.
@@ -129,12 +134,33 @@ impl Mechanics {
         &self.system.setup
     }
 
-    fn fracture_problem<'a>(&'a self, add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync)) -> FractureProblem<'a, 'a> {
+    fn fracture_problem<'a, 'f>(
+        &'a self,
+        faces: &'f [Face],
+        add_product: &'a (dyn Fn(&[f64], &mut [f64]) + Sync),
+    ) -> FractureProblem<'a, 'f> {
         FractureProblem {
             dim: self.mesh.dim(),
             schur: Schur { single: &self.system.schur, inverse: self.system.inverse.as_ref(), add_product },
-            faces: &self.faces,
+            faces,
             settings: self.model.newton,
+        }
+    }
+
+    /// The laws by which a state was found.
+    fn faces_of(&self, state: &State) -> Cow<'_, [Face]> {
+        self.faces_by(state.history.fading, state.history.dilates)
+    }
+
+    /// The faces with bounds that fade (λ_0 as a part of them) or not, and with dilation or without.
+    fn faces_by(&self, fading: Option<f64>, dilates: bool) -> Cow<'_, [Face]> {
+        let with = |face: &Face| {
+            let opening = if dilates { face.opening } else { face.opening.without() };
+            Face { opening, ..face.altered(fading, 1.0) }
+        };
+        match (fading, dilates) {
+            (None, true) => Cow::Borrowed(&self.faces),
+            _ => Cow::Owned(self.faces.iter().map(with).collect()),
         }
     }
 
@@ -160,6 +186,10 @@ fn on_the_pool<R: Send>(f: impl FnOnce() -> R + Send) -> R {
 }
 
 fn singular(SingularFracture(states): SingularFracture) -> MechanicsError {
-    let count = |wanted| states.iter().filter(|&&s| s == wanted).count();
-    MechanicsError::Singular { open: count(ContactState::Open), slipping: count(ContactState::Slip) }
+    let [open, slipping] = [ContactState::Open, ContactState::Slip].map(|wanted| count(&states, wanted));
+    MechanicsError::Singular { open, slipping }
+}
+
+fn count(states: &[ContactState], wanted: ContactState) -> usize {
+    states.iter().filter(|&&s| s == wanted).count()
 }

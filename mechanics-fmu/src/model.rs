@@ -94,12 +94,36 @@ pub enum Friction {
 pub struct FractureLaw {
     /// The friction law.
     pub friction: Friction,
-    /// Dilation angle ψ (rad), in [0, π/2): the aperture grows by tan ψ times the slip.
+    /// Dilation angle ψ (rad), in [0, π/2): slip s opens the fracture by D = min(s tan ψ, D_m).
     pub dilation_angle: f64,
-    /// Normal stiffness k_n > 0 (Pa/m) of the closed fracture, λ_n = k_n ⟦u⟧_n; `None` where it is rigid.
+    /// What D opens.
+    pub dilation: Dilation,
+    /// D_m (m), ≥ 0; `None` for no limit. At a given critical slip s_c it is s_c tan ψ.
+    pub dilation_limit: Option<f64>,
+    /// Normal stiffness k_n > 0 (Pa/m) of the closed fracture at λ_n = 0; `None` where it is rigid.
     pub normal_stiffness: Option<f64>,
+    /// Largest closure V_m (m) > 0 of the hyperbola λ_n = k_n V/(1 − V/V_m), less than the contact aperture; `None` where
+    /// closure is linear, λ_n = k_n V.
+    pub largest_closure: Option<f64>,
     /// Aperture in contact d_c > 0 (m), at the centre of each face; the time is 0.
     pub contact_aperture: ScalarFunction,
+    /// Residual aperture d_r (m) that the fluid sees at least, up to the contact aperture; 0 for none, and then a time step
+    /// that closes the fracture is discarded. `None`: [`DEFAULT_RESIDUAL`] where closure is linear, and none elsewhere, where
+    /// closure never reaches the contact aperture.
+    pub residual_aperture: Option<f64>,
+}
+
+/// Residual aperture where none is given and a linear closure may exceed the contact aperture, as a part of the latter.
+pub const DEFAULT_RESIDUAL: f64 = 0.01;
+
+/// What dilation opens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dilation {
+    /// The aperture alone: the fluid gets more room, the rock does not move.
+    #[default]
+    Hydraulic,
+    /// The fracture: its sides move apart, against the rock around it, and the aperture with them.
+    Mechanical,
 }
 
 impl FractureLaw {
@@ -108,8 +132,80 @@ impl FractureLaw {
         Self {
             friction: Friction::Coulomb { coefficient, cohesion: 0.0 },
             dilation_angle: 0.0,
+            dilation: Dilation::Hydraulic,
+            dilation_limit: None,
             normal_stiffness: None,
+            largest_closure: None,
             contact_aperture: Arc::new(move |_, _| contact_aperture),
+            residual_aperture: None,
+        }
+    }
+
+    /// The aperture (m) that is kept on a face with this contact aperture (m); `None` for none.
+    pub(crate) fn kept_aperture(&self, contact_aperture: f64) -> Option<f64> {
+        match self.residual_aperture {
+            Some(residual) => (residual > 0.0).then_some(residual),
+            None if self.normal_stiffness.is_some() && self.largest_closure.is_none() => {
+                Some(DEFAULT_RESIDUAL * contact_aperture)
+            }
+            None => None,
+        }
+    }
+
+    /// Calls `check` (holds, parameter, value, allowed) for each parameter.
+    fn check(&self, mut check: impl FnMut(bool, &'static str, f64, &'static str)) {
+        let not_negative = |v: f64| v >= 0.0 && v.is_finite();
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        match self.friction {
+            Friction::None => {}
+            Friction::Tresca { bound } => check(not_negative(bound), "bound", bound, "finite and ≥ 0 Pa"),
+            Friction::Coulomb { coefficient, cohesion } => {
+                check(not_negative(coefficient), "friction coefficient", coefficient, "finite and ≥ 0");
+                check(not_negative(cohesion), "cohesion", cohesion, "finite and ≥ 0 Pa");
+            }
+        }
+        let angle = self.dilation_angle;
+        let right = std::f64::consts::FRAC_PI_2;
+        check((0.0..right).contains(&angle), "dilation_angle", angle, "at least 0 and less than π/2");
+        if self.dilation == Dilation::Mechanical {
+            let coefficient = match self.friction {
+                Friction::Coulomb { coefficient, .. } => coefficient,
+                Friction::None | Friction::Tresca { .. } => 0.0,
+            };
+            let allowed =
+                "at most the friction angle of Coulomb's law where dilation is mechanical: else slip makes energy";
+            let steep = angle.tan() > coefficient;
+            check(!steep, "dilation_angle", angle, allowed);
+        }
+        if let Some(limit) = self.dilation_limit {
+            check(not_negative(limit), "dilation_limit", limit, "finite and ≥ 0 m");
+        }
+        if let Some(k) = self.normal_stiffness {
+            check(positive(k), "normal_stiffness", k, "finite and > 0 Pa/m");
+        }
+        if let Some(largest) = self.largest_closure {
+            check(positive(largest), "largest_closure", largest, "finite and > 0 m");
+            check(
+                self.normal_stiffness.is_some(),
+                "largest_closure",
+                largest,
+                "left out where there is no normal_stiffness",
+            );
+        }
+        if let Some(residual) = self.residual_aperture {
+            check(not_negative(residual), "residual_aperture", residual, "finite and ≥ 0 m");
+        }
+    }
+
+    /// Calls `check` (holds, quantity, value, allowed) for what must hold of the contact aperture (m) of a face.
+    pub(crate) fn check_aperture(&self, aperture: f64, mut check: impl FnMut(bool, &'static str, f64, &'static str)) {
+        let name = "the contact aperture";
+        check(aperture > 0.0 && aperture.is_finite(), name, aperture, "finite and > 0 m");
+        if let Some(largest) = self.largest_closure {
+            check(largest < aperture, "the largest closure", largest, "less than the contact aperture there");
+        }
+        if let Some(residual) = self.residual_aperture {
+            check(residual <= aperture, "the residual aperture", residual, "at most the contact aperture there");
         }
     }
 }
@@ -270,27 +366,12 @@ impl Model {
             check((0.0..=1.0).contains(&b), "biot_coefficient", b, "between 0 and 1");
         }
         for (name, law) in &self.fractures {
-            let mut check = |ok: bool, parameter, value, allowed| {
+            law.check(|ok, parameter, value, allowed| {
                 if !ok {
                     let place = format!("fracture \"{name}\"");
                     problems.push(ModelProblem::Parameter { place, parameter, value, allowed });
                 }
-            };
-            let not_negative = |v: f64| v >= 0.0 && v.is_finite();
-            match law.friction {
-                Friction::None => {}
-                Friction::Tresca { bound } => check(not_negative(bound), "bound", bound, "finite and ≥ 0 Pa"),
-                Friction::Coulomb { coefficient, cohesion } => {
-                    check(not_negative(coefficient), "friction coefficient", coefficient, "finite and ≥ 0");
-                    check(not_negative(cohesion), "cohesion", cohesion, "finite and ≥ 0 Pa");
-                }
-            }
-            let angle = law.dilation_angle;
-            let right = std::f64::consts::FRAC_PI_2;
-            check((0.0..right).contains(&angle), "dilation_angle", angle, "at least 0 and less than π/2");
-            if let Some(k) = law.normal_stiffness {
-                check(k > 0.0 && k.is_finite(), "normal_stiffness", k, "finite and > 0 Pa/m");
-            }
+            });
         }
         let n = &self.newton;
         let mut check = |ok: bool, parameter, value, allowed| {

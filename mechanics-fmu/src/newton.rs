@@ -17,8 +17,9 @@
 //!
 //! The laws of different faces meet only through S, so where Newton's method cycles, sweeps of a nonlinear block
 //! Gauss–Seidel method (Jean, CMAME 1999), which solves the law of one face after the other exactly, move it on. If
-//! it goes on cycling, it starts again with a larger β. Where a bound that opening ends leaves no equilibrium, it is made to
-//! fade (see [`crate::contact`]).
+//! it goes on cycling, or meets contact states at which the linearised problem is singular, it starts again by the next of
+//! [`STRATEGIES`]: a larger β, and, where a bound that opening ends leaves no equilibrium, a bound that fades (see
+//! [`crate::contact`]).
 
 use std::collections::HashSet;
 
@@ -39,16 +40,31 @@ const NEGLIGIBLE: f64 = 1e-15;
 const ROUND_OFF: f64 = 1e-14;
 /// Gauss–Seidel sweeps after a cycle.
 const SWEEPS: usize = 5;
-/// Cycles after which another β is tried.
+/// Cycles that an attempt may make.
 const CYCLES: usize = 3;
 /// A response is refined until what is left is this part of it, well below what differences of time steps tell; each solve
 /// gains a factor of [`FORCING`] at least, and is repeated at most [`REFINEMENTS`] times.
 const REFINED: f64 = 1e-9;
 const REFINEMENTS: usize = 4;
-/// After β as set, these multiples of it are tried.
-const BETAS: [f64; 2] = [10.0, 100.0];
-/// λ_0 as a part of Tresca's bound or cohesion, where these must fade: step by step, each solved from the one before.
-const FADING: [f64; 3] = [1.0, 0.3, 0.1];
+/// How a time step is sought: the laws, and the multiples of β with which they are tried until Newton's method converges. A
+/// solution does not depend on β, but the path to it does, most where pressures that follow make the laws curved.
+struct Strategy {
+    /// λ_0 as a part of Tresca's bound or cohesion; `None` where these do not fade.
+    fading: Option<f64>,
+    betas: [f64; 3],
+}
+
+/// The first row is all where it converges, or where no bound drops at opening. Else the others follow, each from the solution
+/// of the one before (the second from the guess), and the last one's solution is that of the time step; where one does not
+/// converge with any β, the time step is given up. At worst that takes 12 attempts, each of at most
+/// [`NewtonSettings::max_iterations`] Newton iterations and [`CYCLES`] · [`SWEEPS`] sweeps: 720 iterations and 180 sweeps with
+/// the defaults.
+const STRATEGIES: [Strategy; 4] = [
+    Strategy { fading: None, betas: [1.0, 10.0, 100.0] },
+    Strategy { fading: Some(1.0), betas: [1.0, 10.0, 100.0] },
+    Strategy { fading: Some(0.3), betas: [1.0, 10.0, 100.0] },
+    Strategy { fading: Some(0.1), betas: [1.0, 10.0, 100.0] },
+];
 
 /// The contact problem on all fracture faces.
 pub(crate) struct FractureProblem<'a, 'f> {
@@ -109,10 +125,22 @@ pub(crate) struct FractureSolution {
     pub(crate) lambda: Vec<f64>,
     pub(crate) states: Vec<ContactState>,
     pub(crate) report: NewtonReport,
-    pub(crate) converged: bool,
+    pub(crate) ending: Ending,
+    /// λ_0 as a part of the bounds by which it was found; `None` where these do not fade.
+    pub(crate) fading: Option<f64>,
     /// Largest violation of a contact law (Pa) and largest change of the jump (m) in the last iteration.
     pub(crate) violation: f64,
     pub(crate) change: f64,
+}
+
+/// How Newton's method ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    Converged,
+    /// After the most iterations or cycles allowed.
+    Unsettled,
+    /// The linearised problem cannot be solved at the contact states.
+    Singular,
 }
 
 /// The linearised problem cannot be solved at these contact states.
@@ -140,14 +168,14 @@ impl FractureProblem<'_, '_> {
         let (mut violation, mut excess): (f64, f64) = (0.0, 0.0);
         for (i, face) in self.faces.iter().enumerate() {
             let jump = self.jump(data, &increment, i);
-            let previous = self.local(data.previous, i);
+            let (previous, origin) = (self.local(data.previous, i), self.local(data.origin, i));
             for c in 0..d {
                 lambda[i * d + c] /= face.measure;
             }
-            lambda[i * d] += data.partners[i].stiffness * face.aperture(&jump, &self.local(data.origin, i));
+            lambda[i * d] += data.partners[i].stiffness * face.aperture(&jump, &origin);
             let own = self.local(&lambda, i);
-            states.push(face.state(&jump, &own, &previous));
-            let own = face.violation(&jump, &own, &previous);
+            states.push(face.state(&jump, &own, &previous, &origin));
+            let own = face.violation(&jump, &own, &previous, &origin);
             violation = larger(violation, own);
             excess = larger(excess, own - face.stiffness * self.round_off(data, i, &jump));
         }
@@ -176,53 +204,63 @@ impl FractureProblem<'_, '_> {
             .collect()
     }
 
-    /// Solves the contact problem of a time step, starting from stick everywhere or from the guess.
-    pub(crate) fn solve(&self, data: &FractureData<'_>) -> Result<FractureSolution, SingularFracture> {
-        let mut solution = self.attempts(data, data.guess.as_deref(), NewtonReport::default())?;
-        if solution.converged || !self.faces.iter().any(Face::drops) {
-            return Ok(solution);
+    /// Solves the contact problem of a time step by one of [`STRATEGIES`] after the other, starting from stick everywhere or
+    /// from the guess.
+    pub(crate) fn solve(&self, data: &FractureData<'_>) -> FractureSolution {
+        let [first, fading @ ..] = &STRATEGIES;
+        let mut solution = self.attempts(first, data, data.guess.as_deref(), NewtonReport::default());
+        if solution.ending == Ending::Converged || !self.faces.iter().any(Face::drops) {
+            return solution;
         }
         let mut guess = data.guess.clone();
-        for part in FADING {
-            let faces: Vec<Face> = self.faces.iter().map(|face| Face { fading: Some(part), ..face.clone() }).collect();
-            let problem = FractureProblem { faces: &faces, ..*self };
+        for strategy in fading {
             solution.report.fadings += 1;
-            solution = problem.attempts(data, guess.as_deref(), solution.report)?;
-            if !solution.converged {
+            solution = self.attempts(strategy, data, guess.as_deref(), solution.report);
+            if solution.ending != Ending::Converged {
                 break;
             }
             guess = Some(solution.jump.iter().zip(data.previous).map(|(g, p)| g - p).collect());
         }
-        Ok(solution)
+        solution
     }
 
-    /// Newton's method with one β after the other until it converges: a solution does not depend on β, but the path to it
-    /// does, most where pressures that follow make the laws curved.
+    /// Newton's method by a strategy, with one β after the other until it converges; the report adds to an earlier one.
     fn attempts(
         &self,
+        strategy: &Strategy,
         data: &FractureData<'_>,
         guess: Option<&[f64]>,
         report: NewtonReport,
-    ) -> Result<FractureSolution, SingularFracture> {
-        let mut solution = self.attempt(data, guess, report)?;
-        for larger in BETAS {
-            if solution.converged {
+    ) -> FractureSolution {
+        let [first, larger @ ..] = strategy.betas;
+        let mut solution = self.attempt(strategy.fading, first, data, guess, report);
+        for beta in larger {
+            if solution.ending == Ending::Converged {
                 break;
             }
-            let faces: Vec<Face> = self.faces.iter().map(|face| face.with_larger_beta(larger)).collect();
-            let problem = FractureProblem { faces: &faces, ..*self };
-            solution = problem.attempt(data, guess, solution.report)?;
+            solution = self.attempt(strategy.fading, beta, data, guess, solution.report);
         }
-        Ok(solution)
+        solution
     }
 
-    /// Newton's method from a guess of the increment (m); the report adds to an earlier one.
+    /// Newton's method from a guess of the increment (m), with bounds that fade or not and a multiple of β.
     fn attempt(
         &self,
+        fading: Option<f64>,
+        beta: f64,
         data: &FractureData<'_>,
         guess: Option<&[f64]>,
-        mut report: NewtonReport,
-    ) -> Result<FractureSolution, SingularFracture> {
+        report: NewtonReport,
+    ) -> FractureSolution {
+        if fading.is_none() && beta == 1.0 {
+            return self.newton(data, guess, report);
+        }
+        let faces: Vec<Face> = self.faces.iter().map(|face| face.altered(fading, beta)).collect();
+        let solution = FractureProblem { faces: &faces, ..*self }.newton(data, guess, report);
+        FractureSolution { fading, ..solution }
+    }
+
+    fn newton(&self, data: &FractureData<'_>, guess: Option<&[f64]>, mut report: NewtonReport) -> FractureSolution {
         let limit = report.iterations + self.settings.max_iterations;
         let most_cycles = report.cycles + CYCLES;
         let mut force: Vec<f64> = data.rhs.iter().map(|r| -r).collect();
@@ -237,12 +275,14 @@ impl FractureProblem<'_, '_> {
         let mut seen = HashSet::new();
         let mut change = 0.0;
         let mut forcing = FORCING;
-        let mut converged = self.faces.is_empty();
-        while !converged && report.iterations < limit && report.cycles < most_cycles {
+        let mut ending = if self.faces.is_empty() { Ending::Converged } else { Ending::Unsettled };
+        while ending == Ending::Unsettled && report.iterations < limit && report.cycles < most_cycles {
             report.iterations += 1;
             let laws = self.linearise(data, &at);
-            let correction = self.solve_linear(&laws, &at.force, forcing, &mut report);
-            let correction = correction.ok_or_else(|| SingularFracture(at.states.clone()))?;
+            let Some(correction) = self.solve_linear(&laws, &at.force, forcing, &mut report) else {
+                ending = Ending::Singular;
+                break;
+            };
             let next = self.corrected(data, &at, &correction);
             change = max_abs(&correction);
             let (mut size, mut noise) = (0.0, 0.0);
@@ -253,11 +293,13 @@ impl FractureProblem<'_, '_> {
             }
             let traction = max_abs(&next.lambda);
             let tolerance = self.settings.tolerance;
-            converged = change <= larger(noise, tolerance * size) && next.excess <= tolerance * traction;
+            if change <= larger(noise, tolerance * size) && next.excess <= tolerance * traction {
+                ending = Ending::Converged;
+            }
             let repeats = next.states == at.states;
             forcing = if repeats { SETTLED } else { FORCING };
             at = next;
-            if !converged && !repeats && !seen.insert(at.states.clone()) {
+            if ending != Ending::Converged && !repeats && !seen.insert(at.states.clone()) {
                 report.cycles += 1;
                 seen.clear();
                 at = self.sweep(data, at);
@@ -265,7 +307,7 @@ impl FractureProblem<'_, '_> {
         }
         let jump = data.previous.iter().zip(&at.increment).map(|(g, d)| g + d).collect();
         let Iterate { lambda, states, violation, .. } = at;
-        Ok(FractureSolution { jump, lambda, states, report, converged, violation, change })
+        FractureSolution { jump, lambda, states, report, ending, fading: None, violation, change }
     }
 
     fn corrected(&self, data: &FractureData<'_>, at: &Iterate, correction: &[f64]) -> Iterate {
@@ -314,7 +356,8 @@ impl FractureProblem<'_, '_> {
         let size = b.iter().map(|b| b * b).sum::<f64>().sqrt();
         let target = (forcing * size).max(negligible);
         let problem = LinearisedProblem { dim: d, schur: self.schur, laws };
-        let x = problem.solve(&b, target, report)?;
+        let mut x = problem.solve(&b, target, report)?;
+        problem.carry(&mut x);
         correction.iter_mut().zip(&x).for_each(|(c, x)| *c += x);
         Some(correction)
     }

@@ -18,8 +18,9 @@ use model::{Document, Point, Scope, TipDistances};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BoundaryPoint, Bubbles, ContactState, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model, Neumann,
-    NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Stabilisation, State, UndrainedFunction,
+    BoundaryPoint, Bubbles, ContactState, Dilation, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model,
+    Neumann, NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Scalars, Stabilisation, State,
+    UndrainedFunction,
 };
 
 /// Contact mechanics behind the FMI.
@@ -32,6 +33,8 @@ pub struct MechanicsUnit {
     initial: Initial,
     log: Log,
     now: Now,
+    /// Whether the host has been told that fractures are closed to their residual aperture.
+    told: bool,
     /// Wall time of computing, and of compliances beside it.
     computing: Duration,
     probing: Duration,
@@ -76,6 +79,8 @@ struct Last {
 /// State in its serialised form.
 #[derive(Serialize, Deserialize)]
 struct Saved {
+    /// Of the mesh.
+    fingerprint: String,
     state: State,
     inputs: Inputs,
     last: Last,
@@ -103,8 +108,7 @@ impl MechanicsUnit {
         let mut computing = Duration::ZERO;
         let mechanics = timed(&mut computing, || Mechanics::new(Arc::clone(&mesh), problem))?;
         let time = &document.model.time;
-        let mut state = mechanics.rest(time.start.0);
-        mechanics.make_initial(&mut state);
+        let state = mechanics.rest(time.start.0);
         let sensitivity = &document.model.coupling.sensitivity;
         let inputs = Inputs {
             partner: pressure.clone(),
@@ -125,6 +129,7 @@ impl MechanicsUnit {
             initial: Initial { pressure, equilibrium: document.model.initial.equilibrium },
             log,
             now: Now { state, inputs, last: Arc::default() },
+            told: false,
             mechanics,
             computing,
             probing: Duration::ZERO,
@@ -154,24 +159,6 @@ impl MechanicsUnit {
         Partner { response, ..partner.clone() }
     }
 
-    fn slips(&self) -> impl Iterator<Item = f64> {
-        let d = self.mechanics.mesh().dim();
-        let jump = self.now.state.jump(self.mechanics.space());
-        let slip = |(g, origin): (&[f64], &[f64])| {
-            g[1..].iter().zip(&origin[1..]).map(|(g, o)| (g - o).powi(2)).sum::<f64>().sqrt()
-        };
-        jump.chunks_exact(d).zip(self.now.state.initial_jump.chunks_exact(d)).map(slip)
-    }
-
-    /// Σ μ |σ| slip (N m; in 2D N, per metre of thickness).
-    fn seismic_moment(&self) -> f64 {
-        let mesh = self.mechanics.mesh();
-        let rigidity = self.mechanics.fracture_rigidity();
-        (self.slips().zip(&mesh.network().faces).zip(rigidity))
-            .map(|((slip, &face), mu)| mu * mesh.geometry().face_measure[face] * slip)
-            .sum()
-    }
-
     fn compliance(&mut self) -> Result<Vec<f64>, UnitError> {
         timed(&mut self.computing, || self.mechanics.follow(&self.now.last.matrix_stiffness))?;
         let floor = self.now.inputs.compliance_floor;
@@ -180,14 +167,26 @@ impl MechanicsUnit {
         Ok(probed.iter().zip(scale).map(|(c, scale)| c.max(floor * scale)).collect())
     }
 
-    fn aperture_statistics(&self) -> [f64; 3] {
+    fn scalars(&self) -> Scalars {
+        self.mechanics.scalars(&self.now.state)
+    }
+
+    /// Warns once where fractures are closed to their residual aperture.
+    fn tell_of_residual_apertures(&mut self) {
         let mesh = self.mechanics.mesh();
-        let (mut sum, mut size, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-        for (d, &face) in self.mechanics.aperture(&self.now.state).into_iter().zip(&mesh.network().faces) {
-            let measure = mesh.geometry().face_measure[face];
-            (sum, size, low, high) = (sum + d * measure, size + measure, f64::min(low, d), f64::max(high, d));
-        }
-        [sum / size, low, high]
+        let held = self.mechanics.is_residual(&self.now.state);
+        let Some(first) = held.iter().position(|&held| held).filter(|_| !self.told) else { return };
+        let Vec3 { x, y, z } = mesh.geometry().face_center[mesh.network().faces[first]];
+        self.log.warn(format!(
+            "t = {} s: {} of {} fracture faces are closed to their residual aperture, the first of them on fracture \"{}\" at ({x:.4e}, \
+             {y:.4e}, {z:.4e}) m. It is what the fluid finds there; the closure of the sides goes beyond the contact aperture, which \
+             a largest_closure would prevent",
+            self.now.state.time,
+            held.iter().filter(|&&held| held).count(),
+            held.len(),
+            mesh.data().fractures[mesh.network().fracture[first]],
+        ));
+        self.told = true;
     }
 }
 
@@ -243,15 +242,12 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
         v.write(&u.now.state.contact.iter().map(|&s| s as i64).collect::<Vec<_>>())
     });
     t.output("matrix.displacement", |u, v| {
-        let d = u.sizes().dim;
-        let cells = u.mechanics.cell_displacement(&u.now.state);
-        write(v, &cells.iter().flat_map(|x| x.to_array().into_iter().take(d)).collect::<Vec<_>>())
+        write(v, &components(u.mechanics.cell_displacement(&u.now.state), u.sizes().dim))
     });
     t.output("matrix.displacement_gradient", |u, v| {
         let d = u.sizes().dim;
         let cells = u.mechanics.displacement_gradient(&u.now.state);
-        let rows = cells.iter().flat_map(|rows| &rows[..d]);
-        write(v, &rows.flat_map(|row| row.to_array().into_iter().take(d)).collect::<Vec<_>>())
+        write(v, &components(cells.iter().flat_map(|rows| rows[..d].iter().copied()), d))
     });
     t.add(
         |r| {
@@ -264,25 +260,27 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
     let float = |name: &'static str, unit: &'static str, about: &'static str| {
         move |r| Variable::output(r, name, Type::Float64).unit(unit).describe(about)
     };
+    // Of the last time step: no function of the state alone.
+    let last = |name, unit, about| move |r| float(name, unit, about)(r).discrete();
     let count =
         |name: &'static str, about: &'static str| move |r| Variable::output(r, name, Type::Int64).describe(about);
     if sizes.fracture_faces > 0 {
-        t.add(float("aperture.mean", "m", "Mean aperture"), |u, v| write(v, &[u.aperture_statistics()[0]]), None);
-        t.add(float("aperture.min", "m", "Smallest aperture"), |u, v| write(v, &[u.aperture_statistics()[1]]), None);
-        t.add(float("aperture.max", "m", "Largest aperture"), |u, v| write(v, &[u.aperture_statistics()[2]]), None);
+        t.add(float("aperture.mean", "m", "Mean aperture"), |u, v| write(v, &[u.scalars().mean_aperture]), None);
+        t.add(float("aperture.min", "m", "Smallest aperture"), |u, v| write(v, &[u.scalars().smallest_aperture]), None);
+        t.add(float("aperture.max", "m", "Largest aperture"), |u, v| write(v, &[u.scalars().largest_aperture]), None);
         t.add(
             float("slip.max", "m", "Largest slip since the initial state"),
-            |u, v| write(v, &[u.slips().fold(0.0, f64::max)]),
+            |u, v| write(v, &[u.scalars().largest_slip]),
             None,
         );
         t.add(
             float("slip_tendency.max", "1", "Largest |tangential traction| / bound of friction of a closed face"),
-            |u, v| write(v, &[u.mechanics.slip_tendency(&u.now.state).into_iter().fold(0.0, f64::max)]),
+            |u, v| write(v, &[u.scalars().largest_slip_tendency]),
             None,
         );
         t.add(
             float("seismic_moment", sizes.moment_unit(), "Sum of shear modulus x area x slip since the initial state"),
-            |u, v| write(v, &[u.seismic_moment()]),
+            |u, v| write(v, &[u.scalars().seismic_moment]),
             None,
         );
         t.add(
@@ -291,7 +289,7 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
                 "1",
                 "2/3 (log10 of the seismic moment in N.m - 9.1), in 2D of one metre; minus infinity without slip",
             ),
-            |u, v| write(v, &[2.0 / 3.0 * (u.seismic_moment().log10() - 9.1)]),
+            |u, v| write(v, &[u.scalars().moment_magnitude()]),
             None,
         );
         t.add(
@@ -317,25 +315,29 @@ fn table(sizes: Sizes, inputs: &Inputs) -> Table<MechanicsUnit> {
     );
     if sizes.fracture_faces > 0 {
         t.add(
-            float("contact.violation", "Pa", "Largest violation of a contact law in the last step"),
+            last("contact.violation", "Pa", "Largest violation of a contact law in the last step"),
             |u, v| write(v, &[u.now.last.violation]),
             None,
         );
     }
     let joule = sizes.energy_unit();
-    t.add(float("energy.elastic", joule, "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
+    t.add(last("energy.elastic", joule, "Elastic energy"), |u, v| write(v, &[u.now.last.energies[0]]), None);
     t.add(
-        float("energy.external_work", joule, "Work of loads and prescribed displacements in the last step"),
+        last("energy.external_work", joule, "Work of loads and prescribed displacements in the last step"),
         |u, v| write(v, &[u.now.last.energies[1]]),
         None,
     );
     t.add(
-        float("energy.pressure_work", joule, "Work of the pressures in the last step"),
+        last("energy.pressure_work", joule, "Work of the pressures in the last step"),
         |u, v| write(v, &[u.now.last.energies[2]]),
         None,
     );
     t.add(
-        float("energy.friction", joule, "Dissipation of friction in the last step"),
+        last(
+            "energy.friction",
+            joule,
+            "Dissipation on fractures in the last step: friction, less the work of mechanical dilation against compression",
+        ),
         |u, v| write(v, &[u.now.last.energies[3]]),
         None,
     );
@@ -440,27 +442,22 @@ impl Unit for MechanicsUnit {
     }
 
     fn initialize(&mut self, experiment: &Experiment) -> Result<(), UnitError> {
-        let mut state = self.mechanics.rest(experiment.start);
+        let (start, pressure) = (experiment.start, &self.initial.pressure);
         let mut elastic = 0.0;
-        if self.initial.equilibrium {
-            let (start, pressure) = (experiment.start, &self.initial.pressure);
-            match timed(&mut self.computing, || self.mechanics.step(&state, start, pressure))? {
-                Outcome::Converged(found, report) => {
-                    state = found;
+        self.now.state = if self.initial.equilibrium {
+            match timed(&mut self.computing, || self.mechanics.initial_equilibrium(start, pressure))? {
+                Outcome::Converged(state, report) => {
                     elastic = report.energy.elastic;
+                    state
                 }
-                Outcome::NotConverged(report) => {
-                    return Err(format!(
-                        "no initial equilibrium: after {} Newton iterations a contact law is violated by {:e} Pa",
-                        report.newton.iterations, report.violation
-                    )
-                    .into());
-                }
+                Outcome::Discarded(why, _) => return Err(format!("at the initial equilibrium {why}").into()),
             }
-        }
-        self.mechanics.make_initial(&mut state);
-        self.now.state = state;
+        } else {
+            self.mechanics.rest(start)
+        };
         self.now.last = Arc::new(Last { energies: [elastic, 0.0, 0.0, 0.0], ..Last::default() });
+        self.told = false;
+        self.tell_of_residual_apertures();
         Ok(())
     }
 
@@ -477,15 +474,10 @@ impl Unit for MechanicsUnit {
                     matrix_stiffness: self.mechanics.matrix_stiffness().to_vec(),
                 });
                 self.log.info("solver", format!("t = {} s: {:?}", time + step, report.newton));
+                self.tell_of_residual_apertures();
                 Ok(StepOutcome::Completed)
             }
-            Outcome::NotConverged(report) => Ok(StepOutcome::Discarded(format!(
-                "no convergence to t = {} s: after {} Newton iterations, {} of them cycling, a contact law is violated by {:e} Pa",
-                time + step,
-                report.newton.iterations,
-                report.newton.cycles,
-                report.violation
-            ))),
+            Outcome::Discarded(why, _) => Ok(StepOutcome::Discarded(format!("at t = {} s {why}", time + step))),
         }
     }
 
@@ -499,12 +491,24 @@ impl Unit for MechanicsUnit {
     }
 
     fn serialize(&self, state: &Now) -> Result<Vec<u8>, UnitError> {
-        let saved = Saved { state: state.state.clone(), inputs: state.inputs.clone(), last: Last::clone(&state.last) };
+        let saved = Saved {
+            fingerprint: self.fingerprint.clone(),
+            state: state.state.clone(),
+            inputs: state.inputs.clone(),
+            last: Last::clone(&state.last),
+        };
         Ok(postcard::to_stdvec(&saved)?)
     }
 
     fn deserialize(&self, bytes: &[u8]) -> Result<Now, UnitError> {
-        let Saved { state, inputs, last } = postcard::from_bytes(bytes)?;
+        let Saved { fingerprint, state, inputs, last } = postcard::from_bytes(bytes)?;
+        if fingerprint != self.fingerprint {
+            return Err(format!(
+                "the state belongs to another mesh: its fingerprint is {fingerprint}, that of this unit's mesh {}",
+                self.fingerprint
+            )
+            .into());
+        }
         let sizes = self.sizes();
         let fits = |values: &[f64], expected: usize| values.len() == expected;
         let r = &inputs.response;
@@ -530,9 +534,13 @@ impl Unit for MechanicsUnit {
     ) -> Result<(), UnitError> {
         let sizes = self.sizes();
         let (mut matrix, mut fracture) = (vec![0.0; sizes.cells], vec![0.0; sizes.fracture_faces]);
-        let response = &self.now.inputs.response;
+        let (state, last) = (&self.now.state, &self.now.last);
         let add = |target: &mut [f64], change: &[f64]| target.iter_mut().zip(change).for_each(|(t, c)| *t += c);
         let times = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
+        // p = p* − S (φ − φ*): a reference acts like the pressure S φ*, and S like φ* − φ.
+        let reference = &self.now.inputs.response;
+        let off =
+            |reference: &[f64], value: &[f64]| reference.iter().zip(value).map(|(r, v)| r - v).collect::<Vec<_>>();
         let mut rest = seed;
         for &known in knowns {
             let (own, after) = rest.split_at(self.table.size(known));
@@ -540,36 +548,57 @@ impl Unit for MechanicsUnit {
             match self.table.name(known) {
                 "matrix.pressure" => add(&mut matrix, own),
                 "fracture.pressure" => add(&mut fracture, own),
-                // p = p* − S (φ − φ*): a reference acts like the pressure S φ*.
-                "matrix.porosity_change_reference" => {
-                    add(&mut matrix, &times(&response.matrix_pressure_stiffness, own));
+                "matrix.porosity_change_reference" => add(&mut matrix, &times(&last.matrix_stiffness, own)),
+                "fracture.aperture_reference" => add(&mut fracture, &times(&state.fracture_stiffness(), own)),
+                "matrix.pressure_stiffness" => {
+                    let off = off(&reference.porosity_change, &self.mechanics.porosity_change(state));
+                    add(&mut matrix, &times(&off, own));
                 }
-                "fracture.aperture_reference" => {
-                    add(&mut fracture, &times(&response.fracture_pressure_stiffness, own));
+                "fracture.pressure_stiffness" => {
+                    add(&mut fracture, &times(&off(&reference.aperture, &self.mechanics.aperture(state)), own));
                 }
-                name => {
-                    let to = "only to the pressures and the references";
-                    return Err(format!("no derivative with respect to {name}: {to}").into());
-                }
+                name => return Err(format!("no derivative with respect to {name}: only to inputs").into()),
             }
         }
         let response = timed(&mut self.computing, || {
             self.mechanics.follow(&self.now.last.matrix_stiffness)?;
             self.mechanics.response(&self.now.state, &matrix, &fracture)
         })?;
+        let (mechanics, state) = (&self.mechanics, &self.now.state);
+        let scalars = || mechanics.scalars_response(state, &response);
         let mut rest = sensitivity;
         for &unknown in unknowns {
             let (own, after) = rest.split_at_mut(self.table.size(unknown));
             rest = after;
-            own.copy_from_slice(match self.table.name(unknown) {
-                "matrix.porosity_change" => &response.porosity_change,
-                "fracture.aperture" => &response.aperture,
-                "fracture.displacement_jump" => &response.jump,
+            let values = match self.table.name(unknown) {
+                "matrix.porosity_change" => response.porosity_change.clone(),
+                "fracture.aperture" => response.aperture.clone(),
+                "fracture.displacement_jump" => response.jump.clone(),
+                "fracture.traction" => mechanics.multiplier_response(state, &response).iter().map(|l| -l).collect(),
+                "matrix.displacement" => components(mechanics.cell_displacement_response(&response), sizes.dim),
+                "matrix.displacement_gradient" => {
+                    let rows = mechanics.displacement_gradient_response(&response);
+                    components(rows.iter().flat_map(|rows| rows[..sizes.dim].iter().copied()), sizes.dim)
+                }
+                "matrix.porosity_compliance" => vec![0.0; sizes.cells],
+                "aperture.mean" => vec![scalars().mean_aperture],
+                "aperture.min" => vec![scalars().smallest_aperture],
+                "aperture.max" => vec![scalars().largest_aperture],
+                "slip.max" => vec![scalars().largest_slip],
+                "slip_tendency.max" => vec![scalars().largest_slip_tendency],
+                "seismic_moment" => vec![scalars().seismic_moment],
+                "moment_magnitude" => vec![mechanics.scalars(state).moment_magnitude_response(&scalars())],
                 name => return Err(format!("no derivative of {name}").into()),
-            });
+            };
+            own.copy_from_slice(&values);
         }
         Ok(())
     }
+}
+
+/// The components of vectors, one vector behind the other.
+fn components(vectors: impl IntoIterator<Item = Vec3>, dim: usize) -> Vec<f64> {
+    vectors.into_iter().flat_map(|v| v.to_array().into_iter().take(dim)).collect()
 }
 
 /// The mechanical problem that a model describes.
@@ -607,7 +636,14 @@ pub fn problem(document: &Document, mesh: &Mesh) -> Result<Model, UnitError> {
                 }
             },
             dilation_angle: fracture.dilation_angle.0,
+            dilation: match fracture.dilation {
+                model::Dilation::Hydraulic => Dilation::Hydraulic,
+                model::Dilation::Mechanical => Dilation::Mechanical,
+            },
+            dilation_limit: fracture.dilation_limit.map(|v| v.0),
             normal_stiffness: fracture.normal_stiffness.map(|k| k.0),
+            largest_closure: fracture.largest_closure.map(|v| v.0),
+            residual_aperture: fracture.residual_aperture.map(|v| v.0),
             contact_aperture: Arc::new(move |x, _| aperture.at(&tips.point(number, x))),
         };
         problem.fractures.insert(name.clone(), law);

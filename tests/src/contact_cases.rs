@@ -447,7 +447,7 @@ pub fn solve_dry(mesh: Arc<Mesh>, model: Model) -> (Mechanics, State, StepReport
     let rest = mechanics.rest(0.0);
     match mechanics.step(&rest, 1.0, &partner) {
         Ok(Outcome::Converged(state, report)) => (mechanics, state, report),
-        Ok(Outcome::NotConverged(report)) => panic!("Newton's method gave up: {report:?}"),
+        Ok(Outcome::Discarded(why, report)) => panic!("{why}: {report:?}"),
         Err(e) => panic!("{e}"),
     }
 }

@@ -119,10 +119,8 @@ impl Coupled {
     pub fn new(mesh: Mesh) -> Self {
         let mesh = Arc::new(mesh);
         let mut mechanics = Mechanics::new(Arc::clone(&mesh), mechanics_model()).unwrap_or_else(|e| panic!("{e}"));
-        let rest = mechanics.rest(0.0);
-        let initial = mechanics.step(&rest, 0.0, &Partner::uniform(&mesh, INITIAL_PRESSURE));
-        let Ok(Outcome::Converged(mut state, _)) = initial else { panic!("no equilibrium at the initial pressure") };
-        mechanics.make_initial(&mut state);
+        let initial = mechanics.initial_equilibrium(0.0, &Partner::uniform(&mesh, INITIAL_PRESSURE));
+        let Ok(Outcome::Converged(state, _)) = initial else { panic!("no equilibrium at the initial pressure") };
         let mut flow = Flow::new(mesh, flow_model()).unwrap_or_else(|e| panic!("{e}"));
         let aperture = mechanics.aperture(&state);
         flow.set_state(flow_fmu::FlowState { aperture, ..flow.state().clone() }).unwrap_or_else(|e| panic!("{e}"));

@@ -2,7 +2,9 @@
 
 use mesh::{Mesh, Vec3};
 
-use crate::description::{Acceleration, Coupling, Criterion, Fracture, Friction, MeshSource, Region, Time, Well};
+use crate::description::{
+    Acceleration, Coupling, Criterion, Dilation, Fracture, Friction, MeshSource, Region, Time, Well,
+};
 use crate::document::quote;
 use crate::expression::{Function, Node, Scope, parse};
 use crate::value::compile;
@@ -224,7 +226,28 @@ impl Model {
             angle,
             "in radians, at least 0, below π/2",
         );
+        if fracture.dilation == Dilation::Mechanical {
+            let coefficient = match fracture.friction {
+                Friction::Coulomb { coefficient, .. } => coefficient.0,
+                Friction::None | Friction::Tresca { .. } => 0.0,
+            };
+            let tangent = fracture.dilation_angle.0.tan();
+            if tangent > coefficient {
+                let message = format!(
+                    "mechanical dilation by tan ψ = {tangent:.4} needs coulomb friction with a coefficient of at least as much, and \
+                     here it is {coefficient}: slip would make energy; `dilation = \"hydraulic\"` opens the aperture alone"
+                );
+                log.add(format!("{key}.dilation"), message);
+            }
+        }
+        log.not_negative(format!("{key}.dilation_limit"), fracture.dilation_limit);
         log.positive(format!("{key}.normal_stiffness"), fracture.normal_stiffness);
+        log.positive(format!("{key}.largest_closure"), fracture.largest_closure);
+        if fracture.largest_closure.is_some() && fracture.normal_stiffness.is_none() {
+            let message = "it needs a normal_stiffness, that at zero stress: without one the closed fracture is rigid";
+            log.add(format!("{key}.largest_closure"), message);
+        }
+        log.not_negative(format!("{key}.residual_aperture"), fracture.residual_aperture);
         log.not_negative(format!("{key}.normal_permeability"), fracture.normal_permeability);
         if self.flow.is_some() && fracture.normal_permeability.is_none() {
             log.add(format!("{key}.normal_permeability"), "this key is required: there is a [flow]");
@@ -396,7 +419,7 @@ impl Model {
         log.0
     }
 
-    /// Contact apertures that are not positive: one message a fracture.
+    /// Contact apertures that are not positive, or too small for what is said of closure: one message each a fracture.
     fn check_apertures(&self, mesh: &Mesh, log: &mut Log) {
         let network = mesh.network();
         let tips = TipDistances::new(mesh);
@@ -404,18 +427,28 @@ impl Model {
             let Some(fracture) = self.fractures.get(name) else { continue };
             let Ok(aperture) = self.function(&fracture.contact_aperture, Scope::Fracture) else { continue };
             let own = network.faces.iter().zip(&network.fracture).filter(|of| *of.1 == i).map(|of| *of.0);
-            let wrong: Vec<(Vec3, f64)> = own
+            let values: Vec<(Vec3, f64)> = own
                 .map(|face| mesh.geometry().face_center[face])
                 .map(|center| (center, aperture.at(&tips.point(i, center))))
-                .filter(|(_, value)| !(*value > 0.0 && value.is_finite()))
                 .collect();
-            if let Some((Vec3 { x, y, z }, value)) = wrong.first() {
-                let message = format!(
-                    "it is {value:.3e} at ({x:.4e}, {y:.4e}, {z:.4e}) m, the middle of one of {} such faces; it must be \
-                     positive and finite (m)",
-                    wrong.len()
-                );
-                log.add(format!("fractures.{}.contact_aperture", quote(name)), message);
+            let mut check = |ok: &dyn Fn(f64) -> bool, key: &str, allowed: &str| {
+                let wrong: Vec<_> = values.iter().filter(|(_, value)| !ok(*value)).collect();
+                if let Some((Vec3 { x, y, z }, value)) = wrong.first() {
+                    let message = format!(
+                        "it is {value:.3e} at ({x:.4e}, {y:.4e}, {z:.4e}) m, the middle of one of {} such faces; it must be {allowed}",
+                        wrong.len()
+                    );
+                    log.add(format!("fractures.{}.{key}", quote(name)), message);
+                }
+            };
+            check(&|value| value > 0.0 && value.is_finite(), "contact_aperture", "positive and finite (m)");
+            if let Some(Number(largest)) = fracture.largest_closure {
+                let allowed = format!("above largest_closure, {largest:.3e} m: else the fracture closes to nothing");
+                check(&|value| value > largest, "contact_aperture", &allowed);
+            }
+            if let Some(Number(residual)) = fracture.residual_aperture {
+                let allowed = format!("at least residual_aperture, {residual:.3e} m");
+                check(&|value| value >= residual, "contact_aperture", &allowed);
             }
         }
     }

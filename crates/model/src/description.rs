@@ -243,16 +243,41 @@ pub struct Fracture {
     /// What bounds the tangential traction.
     #[serde(default)]
     pub friction: Friction,
-    /// ψ (rad), in [0, π/2): the aperture grows by tan ψ times the slip.
+    /// ψ (rad), in [0, π/2): slip s since the initial state opens the fracture by D = s tan ψ.
     #[serde(default)]
     pub dilation_angle: Number,
-    /// k_n (Pa/m) of the closed fracture. Left out: rigid.
+    /// What D opens.
+    #[serde(default)]
+    pub dilation: Dilation,
+    /// D_m (m): D is at most this; s_c tan ψ for a critical slip s_c. Left out: no limit.
+    pub dilation_limit: Option<Number>,
+    /// k_n (Pa/m): how the closed fracture closes further under the normal traction T_n, linearly by V = −T_n/k_n unless there is a
+    /// `largest_closure`. Left out: rigid.
     pub normal_stiffness: Option<Number>,
-    /// d_c (m), > 0: an expression of x, y, z, `tip_distance` (m, to the nearest tip of this fracture) and
-    /// `max_tip_distance` (m, its largest value on the fracture's vertices).
+    /// V_m (m), below d_c: the closure V follows the hyperbola −T_n = k_n V/(1 − V/V_m) of Bandis, with `normal_stiffness` k_n at
+    /// zero stress; the aperture stays above d_c − V_m.
+    pub largest_closure: Option<Number>,
+    /// d_c (m), > 0, the aperture of the fracture in contact at zero stress: an expression of x, y, z, `tip_distance` (m, to the
+    /// nearest tip of this fracture) and `max_tip_distance` (m, its largest value on the fracture's vertices).
     pub contact_aperture: Value,
+    /// d_r (m), at most d_c: the aperture that the fluid finds at least, however far the sides close. 0: none; a time step that
+    /// leaves no aperture is then discarded. Left out: 1 % of d_c with a linear `normal_stiffness`, 0 otherwise (there the aperture
+    /// stays positive by itself).
+    pub residual_aperture: Option<Number>,
     /// K_n (m²) in T_f = 2 K_n/(η d_f); 0 seals. Needed by flow.
     pub normal_permeability: Option<Number>,
+}
+
+/// What dilation opens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Dilation {
+    /// The aperture alone, d_f = d_c − ⟦u⟧_n + D: the fluid gets more room, the rock does not move.
+    #[default]
+    Hydraulic,
+    /// The fracture: non-penetration becomes ⟦u⟧_n + D ≤ V, so that slip moves the sides apart against the rock around it, and
+    /// d_f = d_c − ⟦u⟧_n. It needs Coulomb friction with F ≥ tan ψ, as less would make energy.
+    Mechanical,
 }
 
 /// What bounds the tangential traction.

@@ -3,6 +3,7 @@
 use mesh::Mesh;
 use serde::{Deserialize, Serialize};
 
+use super::state::check_values;
 use super::{Mechanics, State};
 use crate::contact::FacePartner;
 use crate::error::MechanicsError;
@@ -49,14 +50,8 @@ impl Mechanics {
             if values.len() != expected {
                 return Err(MechanicsError::Length { field, found: values.len(), expected });
             }
-            let ok = |v: f64| v.is_finite() && (!not_negative || v >= 0.0);
-            match values.iter().position(|&v| !ok(v)) {
-                Some(index) => {
-                    let allowed = if not_negative { "finite and ≥ 0" } else { "finite" };
-                    Err(MechanicsError::Value { field, index, value: values[index], allowed })
-                }
-                None => Ok(()),
-            }
+            let allowed = if not_negative { "finite and ≥ 0" } else { "finite" };
+            check_values(field, values, |v| v.is_finite() && (!not_negative || v >= 0.0), allowed)
         };
         check("matrix pressure", &partner.matrix_pressure, cells, false)?;
         check("fracture pressure", &partner.fracture_pressure, faces, false)?;
@@ -74,26 +69,34 @@ impl Mechanics {
     /// found with it, if other time steps have been made since.
     ///
     /// # Errors
-    /// [`MechanicsError::Length`]; a singular system.
+    /// [`MechanicsError::Length`] or [`MechanicsError::Value`], and nothing is changed; [`MechanicsError::Linear`] if the system
+    /// cannot be factorised: then there is no factorisation until a later call makes one.
     pub fn follow(&mut self, matrix_stiffness: &[f64]) -> Result<(), MechanicsError> {
         let (found, expected) = (matrix_stiffness.len(), self.mesh.cell_count());
         if found != 0 && found != expected {
             return Err(MechanicsError::Length { field: "matrix pressure stiffness", found, expected });
         }
+        check_values("matrix pressure stiffness", matrix_stiffness, |v| v.is_finite() && v >= 0.0, "finite and ≥ 0")?;
         let wanted = if matrix_stiffness.iter().any(|&s| s != 0.0) { matrix_stiffness } else { &[] };
-        if self.stiffness_response != wanted {
+        if self.factorised_for.as_deref() != Some(wanted) {
             let extra: Vec<f64> = (0..self.mesh.cell_count())
                 .map(|k| wanted.get(k).map_or(0.0, |s| s * self.material(k).biot.powi(2)))
                 .collect();
-            self.stiffness_response = wanted.to_vec();
+            self.factorised_for = None;
             self.system.refactorise(&self.mesh, &extra)?;
+            self.factorised_for = Some(wanted.to_vec());
         }
         Ok(())
     }
 
     /// The matrix stiffness of the partner (Pa, cells) that the factorisation is made for; empty for 0.
     pub fn matrix_stiffness(&self) -> &[f64] {
-        &self.stiffness_response
+        self.factorised_for.as_deref().unwrap_or_default()
+    }
+
+    /// Whether there is a factorisation.
+    pub(super) fn check_factor(&self) -> Result<(), MechanicsError> {
+        self.factorised_for.as_ref().map(drop).ok_or(MechanicsError::Unfactorised)
     }
 
     pub(super) fn face_partners(&self, partner: &Partner) -> Vec<FacePartner> {

@@ -25,20 +25,29 @@ impl Mechanics {
         div
     }
 
-    /// Aperture d_f = d_c − ⟦u⟧_n + tan ψ |⟦u − u⁰⟧_τ| (m) of each fracture face.
+    /// Aperture d_f (m) of each fracture face: d_c − ⟦u⟧_n, with hydraulic dilation + min(tan ψ |⟦u − u⁰⟧_τ|, D_m), and not less
+    /// than the residual aperture; > 0 in a state of a time step.
     pub fn aperture(&self, state: &State) -> Vec<f64> {
         let jump = state.jump(&self.system.space);
-        (0..self.faces.len())
-            .map(|i| self.faces[i].aperture(&self.local(jump, i), &self.local(&state.initial_jump, i)))
+        (self.faces_of(state).iter().enumerate())
+            .map(|(i, face)| face.aperture(&self.local(jump, i), &self.local(&state.initial_jump, i)))
             .collect()
     }
 
-    /// |λ_τ|/bound of each fracture face; 0 where open, 1 where slipping.
+    /// Which fracture faces are so closed that the residual aperture holds up theirs.
+    pub fn is_residual(&self, state: &State) -> Vec<bool> {
+        let jump = state.jump(&self.system.space);
+        (self.faces_of(state).iter().enumerate())
+            .map(|(i, face)| face.is_residual(&self.local(jump, i), &self.local(&state.initial_jump, i)))
+            .collect()
+    }
+
+    /// |λ_τ|/bound of each fracture face, by the bound that held in the time step; 0 where open, 1 where slipping.
     pub fn slip_tendency(&self, state: &State) -> Vec<f64> {
-        (0..self.faces.len())
-            .map(|i| {
+        (self.faces_of(state).iter().enumerate())
+            .map(|(i, face)| {
                 let l = self.local(&state.multiplier, i);
-                let (shear, bound) = (l[1].hypot(l[2]), self.faces[i].bound(l[0]));
+                let (shear, bound) = (l[1].hypot(l[2]), face.bound(l[0]));
                 // By the state: where the bound vanishes, both are round-off.
                 match state.contact[i] {
                     ContactState::Open => 0.0,
@@ -107,6 +116,10 @@ impl Mechanics {
 
     /// ∇^K u (1) of each cell, row i being the gradient of component i; zero in z in 2D.
     pub fn displacement_gradient(&self, state: &State) -> Vec<[Vec3; 3]> {
+        self.gradients(&state.unknowns)
+    }
+
+    pub(super) fn gradients(&self, unknowns: &[f64]) -> Vec<[Vec3; 3]> {
         let d = self.mesh.dim();
         let space = &self.system.space;
         (0..self.mesh.cell_count())
@@ -114,7 +127,7 @@ impl Mechanics {
             .map(|cell| {
                 let operators = space.operators(&self.mesh, cell);
                 let mut gradient = [Vec3::ZERO; 3];
-                let values = self.function_values(state, cell);
+                let values = self.function_values(unknowns, cell);
                 let (vectors, normals) = values.split_at(d * operators.vector_count);
                 let (of_vectors, of_normals) = operators.gradient.split_at(operators.vector_count);
                 for (g, v) in of_vectors.iter().zip(vectors.chunks_exact(d)) {
@@ -134,6 +147,10 @@ impl Mechanics {
 
     /// Mean displacement Π^K u(x_K) = Σ_s ω_s^K u_Ks (m) of each cell.
     pub fn cell_displacement(&self, state: &State) -> Vec<Vec3> {
+        self.cell_means(&state.unknowns)
+    }
+
+    pub(super) fn cell_means(&self, unknowns: &[f64]) -> Vec<Vec3> {
         let d = self.mesh.dim();
         let weights = &self.mesh.geometry().cell_weight;
         (0..self.mesh.cell_count())
@@ -142,7 +159,7 @@ impl Mechanics {
                 let range = self.mesh.cell_vertex_lists().range(cell);
                 for (&node, w) in self.mesh.nodes().of_cell(cell).iter().zip(&weights[range]) {
                     for c in 0..d {
-                        mean[c] += w * state.unknowns[node * d + c];
+                        mean[c] += w * unknowns[node * d + c];
                     }
                 }
                 Vec3::from_array(mean)
@@ -151,12 +168,12 @@ impl Mechanics {
     }
 
     /// The values of a cell's functions (m): d for each node and each vector bubble, then one for each normal bubble.
-    fn function_values(&self, state: &State, cell: usize) -> Vec<f64> {
+    fn function_values(&self, unknowns: &[f64], cell: usize) -> Vec<f64> {
         let space = &self.system.space;
-        let unknowns = space.unknowns(&self.mesh, cell);
-        let of = |&entity: &u32| state.unknowns[space.unknowns_of(entity as usize)].iter().copied();
-        let own: Vec<f64> = unknowns.entities.iter().flat_map(of).collect();
-        match &unknowns.bubbles {
+        let of_cell = space.unknowns(&self.mesh, cell);
+        let of = |&entity: &u32| unknowns[space.unknowns_of(entity as usize)].iter().copied();
+        let own: Vec<f64> = of_cell.entities.iter().flat_map(of).collect();
+        match &of_cell.bubbles {
             None => own,
             Some(p) => p.chunks_exact(own.len()).map(|row| row.iter().zip(&own).map(|(p, v)| p * v).sum()).collect(),
         }

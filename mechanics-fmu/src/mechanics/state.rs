@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Mechanics;
+use super::{Mechanics, count};
 use crate::contact::{ContactState, FacePartner};
 use crate::error::MechanicsError;
 use crate::space::Space;
@@ -26,11 +26,15 @@ pub struct State {
 }
 
 /// What is remembered of the step that led to a state, for the linearised response and the first guess of the next.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct History {
     pub(super) previous_jump: Vec<f64>,
     pub(super) time_step: f64,
     pub(super) partners: Vec<FacePartner>,
+    /// λ_0 as a part of Tresca's bound or cohesion, where these faded.
+    pub(super) fading: Option<f64>,
+    /// Whether slip opened fractures by dilation; not so at the initial equilibrium.
+    pub(super) dilates: bool,
 }
 
 impl History {
@@ -48,14 +52,19 @@ impl State {
         &self.unknowns[space.first_jump_unknown()..]
     }
 
+    /// S_f (Pa/m) of each fracture face in the time step to this state; 0 where pressures were given.
+    pub fn fracture_stiffness(&self) -> Vec<f64> {
+        self.history.partners.iter().map(|partner| partner.stiffness).collect()
+    }
+
     /// Number of faces in a contact state.
     pub fn count(&self, wanted: ContactState) -> usize {
-        self.contact.iter().filter(|&&s| s == wanted).count()
+        count(&self.contact, wanted)
     }
 }
 
 impl Mechanics {
-    /// The body at rest: no displacement, no traction, all fractures in contact.
+    /// The body at rest: no displacement, no traction, all fractures in contact. It is an initial state.
     pub fn rest(&self, time: f64) -> State {
         let jumps = self.faces.len() * self.mesh.dim();
         State {
@@ -69,12 +78,14 @@ impl Mechanics {
                 previous_jump: vec![0.0; jumps],
                 time_step: 0.0,
                 partners: vec![FacePartner::default(); self.faces.len()],
+                fading: None,
+                dilates: true,
             },
         }
     }
 
-    /// Declares a state the initial one, from which porosity changes and the slip of dilation count.
-    pub fn make_initial(&self, state: &mut State) {
+    /// Declares a state the initial one, from which porosity changes and slip count. It must have been found without dilation.
+    pub(super) fn make_initial(&self, state: &mut State) {
         state.initial_jump = state.jump(&self.system.space).to_vec();
         state.initial_divergence = self.divergence(state);
     }
@@ -82,9 +93,27 @@ impl Mechanics {
     /// A state that was written and read again; what follows it has the same bits.
     ///
     /// # Errors
-    /// [`MechanicsError::Length`] if it is that of another mesh.
+    /// [`MechanicsError::Length`] if it is that of another mesh; [`MechanicsError::Value`] if a number of it is none that a time
+    /// step leaves: one that is not finite, a negative stiffness of a partner.
     pub fn load(&self, read: State) -> Result<State, MechanicsError> {
         self.check_state(&read)?;
+        let history = &read.history;
+        let partners = |of: fn(&FacePartner) -> f64| history.partners.iter().map(of).collect::<Vec<_>>();
+        let (offsets, stiffnesses) = (partners(|p| p.offset), partners(|p| p.stiffness));
+        let fading = history.fading.as_slice();
+        let finite = |v: f64| v.is_finite();
+        let not_negative = |v: f64| v.is_finite() && v >= 0.0;
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        check_values("time", &[read.time], finite, "finite")?;
+        check_values("displacement", &read.unknowns, finite, "finite")?;
+        check_values("multiplier", &read.multiplier, finite, "finite")?;
+        check_values("initial divergence", &read.initial_divergence, finite, "finite")?;
+        check_values("initial jump", &read.initial_jump, finite, "finite")?;
+        check_values("previous jump", &history.previous_jump, finite, "finite")?;
+        check_values("time step", &[history.time_step], finite, "finite")?;
+        check_values("pressure of a partner", &offsets, finite, "finite")?;
+        check_values("fracture pressure stiffness", &stiffnesses, not_negative, "finite and ≥ 0")?;
+        check_values("fading of bounds", fading, positive, "finite and > 0")?;
         Ok(read)
     }
 
@@ -105,5 +134,18 @@ impl Mechanics {
             }
         }
         Ok(())
+    }
+}
+
+/// Whether all values hold what is `allowed`.
+pub(super) fn check_values(
+    field: &'static str,
+    values: &[f64],
+    is_allowed: impl Fn(f64) -> bool,
+    allowed: &'static str,
+) -> Result<(), MechanicsError> {
+    match values.iter().position(|&v| !is_allowed(v)) {
+        Some(index) => Err(MechanicsError::Value { field, index, value: values[index], allowed }),
+        None => Ok(()),
     }
 }

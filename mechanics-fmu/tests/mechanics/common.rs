@@ -117,8 +117,15 @@ pub(crate) fn start(mesh: &Arc<Mesh>, model: Model) -> Mechanics {
 pub(crate) fn step(mechanics: &mut Mechanics, from: &State, time: f64, partner: &Partner) -> (State, StepReport) {
     match mechanics.step(from, time, partner) {
         Ok(Outcome::Converged(state, report)) => (state, report),
-        Ok(Outcome::NotConverged(report)) => panic!("Newton's method gave up: {report:?}"),
+        Ok(Outcome::Discarded(why, report)) => panic!("{why}: {report:?}"),
         Err(e) => panic!("{e}"),
+    }
+}
+
+pub(crate) fn initial(mechanics: &mut Mechanics, time: f64, partner: &Partner) -> State {
+    match mechanics.initial_equilibrium(time, partner) {
+        Ok(Outcome::Converged(state, _)) => state,
+        other => panic!("{other:?}"),
     }
 }
 

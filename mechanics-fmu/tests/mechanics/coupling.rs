@@ -8,7 +8,7 @@ use mechanics_fmu::{
 use mesh::Vec3;
 use mesh::generate::cartesian;
 
-use crate::common::{coulomb, fractured, hold, largest, mesh, model, rock, start, step};
+use crate::common::{coulomb, fractured, hold, initial, largest, mesh, model, rock, start, step};
 
 /// Some numbers between −1 and 1.
 fn pattern(n: usize, seed: f64) -> Vec<f64> {
@@ -72,9 +72,7 @@ fn a_step_with_a_response_is_monolithic() {
     for family in ["triangles", "tetrahedra"] {
         for (name, law) in laws() {
             let (mut mechanics, given) = sheared(family, &law, 1.0, Bubbles::OneSided);
-            let rest = mechanics.rest(0.0);
-            let (mut before, _) = step(&mut mechanics, &rest, 1.0, &given);
-            mechanics.make_initial(&mut before);
+            let before = initial(&mut mechanics, 1.0, &given);
             let response = follow(&mechanics, 1.5e-4);
             let partner = Partner { response: Some(response.clone()), ..given.clone() };
             let (together, report) = step(&mut mechanics, &before, 2.0, &partner);
@@ -179,9 +177,7 @@ fn the_response_is_the_derivative() {
             for follows in [false, true] {
                 let at = format!("{family}, {name}, following: {follows}");
                 let (mut mechanics, mut partner) = sheared(family, &law, 3.0, Bubbles::TwoSided);
-                let rest = mechanics.rest(0.0);
-                let (mut before, _) = step(&mut mechanics, &rest, 1.0, &partner);
-                mechanics.make_initial(&mut before);
+                let before = initial(&mut mechanics, 1.0, &partner);
                 if follows {
                     partner.response = Some(follow(&mechanics, 1.5e-4));
                 }

@@ -4,7 +4,7 @@ use mechanics_fmu::{ContactState, Dirichlet, FractureLaw, Material, Partner};
 use mesh::generate::{Triangles, cartesian};
 use mesh::{MeshData, Vec3};
 
-use crate::common::{coulomb, fractured, hold, largest, mesh, model, rock, start, step};
+use crate::common::{coulomb, fractured, hold, initial, largest, mesh, model, rock, start, step};
 
 /// d_f = d_c − ⟦u⟧_n + tan ψ |⟦u − u⁰⟧_τ|, where u⁰ is the initial state and neither rest nor the state before.
 #[test]
@@ -21,9 +21,7 @@ fn the_slip_of_dilation_counts_from_the_initial_state() {
         });
         let mut mechanics = start(&mesh, model);
         let partner = Partner::uniform(&mesh, 0.0);
-        let rest = mechanics.rest(0.0);
-        let (mut initial, _) = step(&mut mechanics, &rest, 1.0, &partner);
-        mechanics.make_initial(&mut initial);
+        let initial = initial(&mut mechanics, 1.0, &partner);
         let (middle, _) = step(&mut mechanics, &initial, 1.5, &partner);
         let (state, _) = step(&mut mechanics, &middle, 3.0, &partner);
         let jump = |state: &mechanics_fmu::State| state.jump(mechanics.space()).to_vec();

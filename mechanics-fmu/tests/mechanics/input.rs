@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use mechanics_fmu::{
-    Dirichlet, FractureLaw, Friction, Mechanics, MechanicsError, Model, Neumann, Outcome, Partner, PartnerResponse,
-    Place,
+    Dilation, Dirichlet, FractureLaw, Friction, Mechanics, Model, Neumann, Outcome, Partner, PartnerResponse, Place,
 };
 use mesh::generate::cartesian;
 use mesh::{Mesh, Vec3};
@@ -77,6 +76,21 @@ fn parameters_out_of_range() {
         let line = format!("fracture \"flat\": dilation_angle is {angle}; it must be at least 0 and less than π/2");
         refused(&[&line], |m| law(m).dilation_angle = angle);
     }
+    let steep = "at most the friction angle of Coulomb's law where dilation is mechanical: else slip makes energy";
+    let line = format!("fracture \"flat\": dilation_angle is 0.47; it must be {steep}");
+    refused(&[&line], |m| (law(m).dilation_angle, law(m).dilation) = (0.47, Dilation::Mechanical));
+    for friction in [Friction::None, Friction::Tresca { bound: 1e9 }] {
+        let line = format!("fracture \"flat\": dilation_angle is 0.1; it must be {steep}");
+        refused(&[&line], |m| {
+            *law(m) = FractureLaw { friction, dilation_angle: 0.1, dilation: Dilation::Mechanical, ..law(m).clone() };
+        });
+    }
+    for v in [-1.0, f64::NAN, f64::INFINITY] {
+        let line = format!("fracture \"flat\": dilation_limit is {v}; it must be finite and ≥ 0 m");
+        refused(&[&line], |m| law(m).dilation_limit = Some(v));
+    }
+    let line = "fracture \"flat\": largest_closure is 0.00005; it must be left out where there is no normal_stiffness";
+    refused(&[line], |m| law(m).largest_closure = Some(5e-5));
     for v in [0.0, -1.0, f64::NAN] {
         let line = format!("newton: beta_factor is {v}; it must be finite and > 0");
         refused(&[&line], |m| m.newton.beta_factor = v);
@@ -133,6 +147,20 @@ fn apertures() {
         };
         refused(&[&line(0.25), &line(0.75)], |m| law(m).contact_aperture = Arc::new(move |_, _| value));
     }
+    // A contact aperture of 1 mm at one face and 3 mm at the other.
+    let graded: mechanics_fmu::model::ScalarFunction = Arc::new(|x: Vec3, _| 4e-3 * x.x);
+    let line = "the largest closure of fracture \"flat\" at (0.25, 0.5, 0) m, t = 0 s, is 0.001; it must be less than the contact aperture \
+                there";
+    let aperture = Arc::clone(&graded);
+    refused(&[line], |m| {
+        let (normal_stiffness, largest_closure) = (Some(1e10), Some(1e-3));
+        *law(m) = FractureLaw { normal_stiffness, largest_closure, contact_aperture: aperture, ..law(m).clone() };
+    });
+    let line = "the residual aperture of fracture \"flat\" at (0.25, 0.5, 0) m, t = 0 s, is 0.002; it must be at most the contact \
+                aperture there";
+    refused(&[line], |m| (law(m).residual_aperture, law(m).contact_aperture) = (Some(2e-3), graded));
+    let line = "fracture \"flat\": residual_aperture is -1; it must be finite and ≥ 0 m";
+    refused(&[line], |m| law(m).residual_aperture = Some(-1.0));
 }
 
 #[test]
@@ -298,7 +326,7 @@ fn a_loose_piece() {
                 assert!((mean(0) - 1e6).abs() < 1e-3, "{:?}", state.multiplier);
                 assert!((mean(1).abs() - 0.4e6).abs() < 1e-3, "{:?}", state.multiplier);
             }
-            Err(MechanicsError::Singular { .. }) | Ok(Outcome::NotConverged(_)) if push > 0.5 || pull > 0.0 => {}
+            Ok(Outcome::Discarded(..)) if push > 0.5 || pull > 0.0 => {}
             other => panic!("{other:?}"),
         }
     }
@@ -330,33 +358,39 @@ fn extreme_parameters_give_no_nonsense() {
     let of = |list: &'static [f64]| prop::sample::select(list);
     let rock = (of(&[1e-300, 1e-3, 1e10, 1e150, 1e300]), of(&[-0.999999999999, 0.0, 0.3, 0.499999999999]));
     let friction = (of(&[0.0, 1e-300, 0.5, 1e12, 1e300]), of(&[0.0, 1e-300, 1e6, 1e300]));
-    let joint = (of(&[0.0, 1e-300, 1e10, 1e300]), of(&[0.0, 0.3, 1.56]), of(&[1e-300, 1e-4, 1e300]));
+    let closes = (of(&[0.0, 1e-300, 1e-5, 1e200]), any::<bool>());
+    let joint = (of(&[0.0, 1e-300, 1e10, 1e300]), of(&[0.0, 0.3, 1.56]), of(&[1e-300, 1e-4, 1e300]), closes);
     let load = (of(&[0.0, 1e-300, 1e6, 1e300]), of(&[0.0, 1e-300, 1e-3, 1e300]), of(&[1e-300, 0.01, 1e12]));
-    let config = ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() };
+    let config = ProptestConfig { cases: 600, failure_persistence: None, ..ProptestConfig::default() };
     let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
     let converged = std::cell::Cell::new(0);
-    let result = runner.run(&(rock, friction, joint, load), |((e, nu), (f, c), (k, angle, aperture), (p, u, beta))| {
-        let (mesh, mut model) = squares();
-        (self::rock(&mut model).young_modulus, self::rock(&mut model).poisson_ratio) = (e, nu);
-        *law(&mut model) = FractureLaw {
-            friction: Friction::Coulomb { coefficient: f, cohesion: c },
-            dilation_angle: angle,
-            normal_stiffness: (k > 0.0).then_some(k),
-            contact_aperture: Arc::new(move |_, _| aperture),
-        };
-        model.newton.beta_factor = beta;
-        hold(&mut model, 2, &["top"], move |p, _| u * Vec3::new(1.0, p.at.x - 0.6, 0.0));
-        let mut partner = Partner::uniform(&mesh, 0.0);
-        partner.fracture_pressure.fill(p);
-        let Ok(mut mechanics) = Mechanics::new(mesh, model) else { return Ok(()) };
-        let rest = mechanics.rest(0.0);
-        if let Ok(Outcome::Converged(state, _)) = mechanics.step(&rest, 1.0, &partner) {
-            let finite = state.unknowns.iter().chain(&state.multiplier).all(|v| v.is_finite());
-            prop_assert!(finite, "{:?} {:?}", state.unknowns, state.multiplier);
-            converged.set(converged.get() + 1);
-        }
-        Ok(())
-    });
+    let result =
+        runner.run(&(rock, friction, joint, load), |((e, nu), (f, c), (k, angle, aperture, closes), (p, u, beta))| {
+            let (mesh, mut model) = squares();
+            (self::rock(&mut model).young_modulus, self::rock(&mut model).poisson_ratio) = (e, nu);
+            *law(&mut model) = FractureLaw {
+                friction: Friction::Coulomb { coefficient: f, cohesion: c },
+                dilation_angle: angle,
+                dilation: if closes.1 { Dilation::Mechanical } else { Dilation::Hydraulic },
+                dilation_limit: (f < 1.0).then_some(u),
+                normal_stiffness: (k > 0.0).then_some(k),
+                largest_closure: (k > 0.0 && closes.0 > 0.0).then_some(closes.0),
+                contact_aperture: Arc::new(move |_, _| aperture),
+                residual_aperture: None,
+            };
+            model.newton.beta_factor = beta;
+            hold(&mut model, 2, &["top"], move |p, _| u * Vec3::new(1.0, p.at.x - 0.6, 0.0));
+            let mut partner = Partner::uniform(&mesh, 0.0);
+            partner.fracture_pressure.fill(p);
+            let Ok(mut mechanics) = Mechanics::new(mesh, model) else { return Ok(()) };
+            let rest = mechanics.rest(0.0);
+            if let Ok(Outcome::Converged(state, _)) = mechanics.step(&rest, 1.0, &partner) {
+                let finite = state.unknowns.iter().chain(&state.multiplier).all(|v| v.is_finite());
+                prop_assert!(finite, "{:?} {:?}", state.unknowns, state.multiplier);
+                converged.set(converged.get() + 1);
+            }
+            Ok(())
+        });
     if let Err(e) = result {
         panic!("{e}");
     }

@@ -32,14 +32,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let problem = mechanics_fmu::unit::problem(&document, &mesh).map_err(|e| e.to_string())?;
     let mut mechanics = Mechanics::new(Arc::clone(&mesh), problem)?;
     let partner = Partner::uniform(&mesh, INITIAL_PRESSURE);
-    let Outcome::Converged(mut state, _) = mechanics.step(&mechanics.rest(0.0), 0.0, &partner)? else {
+    let Outcome::Converged(mut state, _) = mechanics.initial_equilibrium(0.0, &partner)? else {
         return Err("mechanics has no equilibrium at the initial pressure".into());
     };
-    mechanics.make_initial(&mut state);
     for step in 1..=STEPS {
         match mechanics.step(&state, step as f64 * STEP, &partner)? {
             Outcome::Converged(next, _) => state = next,
-            Outcome::NotConverged(_) => return Err("mechanics does not converge".into()),
+            Outcome::Discarded(why, _) => return Err(why.to_string().into()),
         }
         note(&format!("mechanics.fracture.aperture.{step}"), &mechanics.aperture(&state));
         note(&format!("mechanics.matrix.porosity_change.{step}"), &mechanics.porosity_change(&state));
