@@ -145,11 +145,13 @@ impl FractureLaw {
     pub(crate) fn kept_aperture(&self, contact_aperture: f64) -> Option<f64> {
         match self.residual_aperture {
             Some(residual) => (residual > 0.0).then_some(residual),
-            None if self.normal_stiffness.is_some() && self.largest_closure.is_none() => {
-                Some(DEFAULT_RESIDUAL * contact_aperture)
-            }
-            None => None,
+            None => self.has_default_residual().then_some(DEFAULT_RESIDUAL * contact_aperture),
         }
+    }
+
+    /// Whether [`DEFAULT_RESIDUAL`] holds.
+    pub(crate) fn has_default_residual(&self) -> bool {
+        self.residual_aperture.is_none() && self.normal_stiffness.is_some() && self.largest_closure.is_none()
     }
 
     /// Calls `check` (holds, parameter, value, allowed) for each parameter.

@@ -18,9 +18,9 @@ use model::{Document, Point, Scope, TipDistances};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BoundaryPoint, Bubbles, ContactState, Dilation, Dirichlet, FractureLaw, Friction, Material, Mechanics, Model,
-    Neumann, NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Scalars, Stabilisation, State,
-    UndrainedFunction,
+    BoundaryPoint, Bubbles, ContactState, DEFAULT_RESIDUAL, Dilation, Dirichlet, FractureLaw, Friction, Material,
+    Mechanics, Model, Neumann, NewtonSettings, NormalBubbles, Outcome, Partner, PartnerResponse, Place, Scalars,
+    Stabilisation, State, UndrainedFunction,
 };
 
 /// Contact mechanics behind the FMI.
@@ -137,13 +137,25 @@ impl MechanicsUnit {
     }
 
     fn about(&self) -> String {
-        let method = "Frictional contact mechanics of a fractured rock: bubble virtual elements, semi-smooth Newton";
-        match self.mechanics.space().normal_bubble_count() {
-            0 => method.to_owned(),
-            n => format!(
-                "{method}. Normal bubbles on {n} faces keep nearly incompressible or undrained rock from locking"
-            ),
+        let mut about =
+            "Frictional contact mechanics of a fractured rock: bubble virtual elements, semi-smooth Newton".to_owned();
+        let bubbles = self.mechanics.space().normal_bubble_count();
+        if bubbles > 0 {
+            about += &format!(
+                ". Normal bubbles on {bubbles} faces keep nearly incompressible or undrained rock from locking"
+            );
         }
+        let laws = self.mechanics.model().fractures.iter();
+        let held: Vec<_> = laws.filter(|(_, law)| law.has_default_residual()).map(|(name, _)| name.as_str()).collect();
+        if !held.is_empty() {
+            about += &format!(
+                ". Closure is linear without limit on {}: there the fluid finds at least {} % of the contact aperture, as no \
+                 residual_aperture and no largest_closure is given",
+                held.join(", "),
+                100.0 * DEFAULT_RESIDUAL
+            );
+        }
+        about
     }
 
     fn sizes(&self) -> Sizes {

@@ -361,6 +361,46 @@ fn contact_apertures_are_positive_on_all_faces() {
     // The fracture has no tip.
     let error = law("tip_distance").unwrap_err();
     assert!(error.contains("it is inf") && error.contains("one of 4 such faces"), "{error}");
+    let joint = "y', normal_stiffness = 1e10, residual_aperture = 0.2, largest_closure = '0.5";
+    let error = law(joint).unwrap_err();
+    let place = "at (5.0000e-1, 1.2500e-1, 0.0000e0) m, the middle of one of";
+    for wanted in [
+        format!(
+            "it is 1.250e-1 {place} 2 such faces; it must be above largest_closure, 5.000e-1 m: else the fracture closes to nothing"
+        ),
+        format!("it is 1.250e-1 {place} 1 such faces; it must be at least residual_aperture, 2.000e-1 m"),
+    ] {
+        assert!(error.contains(&wanted), "{error}");
+    }
+}
+
+#[test]
+fn laws_of_joints_are_checked() {
+    let found = |law: &str| {
+        let fracture = format!("fractures.crack = {{ normal_permeability = 1, contact_aperture = 1, {law} }}");
+        problems(GOOD, &["mesh.fractures.crack = 'x == 0.5'", &fracture])
+    };
+    let mechanical = "dilation = 'mechanical', dilation_angle = 0.3";
+    assert!(found(&format!("friction.coulomb.coefficient = 0.4, {mechanical}")).is_empty());
+    assert!(found("normal_stiffness = 1, largest_closure = 0.5, residual_aperture = 0, dilation_limit = 0").is_empty());
+    let energy = "mechanical dilation by tan ψ = 0.3093 needs coulomb friction with a coefficient of at least as much";
+    for (law, key, wanted) in [
+        (format!("friction.coulomb.coefficient = 0.3, {mechanical}"), "dilation", energy),
+        (format!("friction.tresca.bound = 1e9, {mechanical}"), "dilation", energy),
+        (mechanical.to_owned(), "dilation", energy),
+        ("dilation = 'both'".to_owned(), "dilation", "expected `hydraulic` or `mechanical`"),
+        ("dilation_limit = -1".to_owned(), "dilation_limit", "must be at least 0"),
+        ("residual_aperture = -1".to_owned(), "residual_aperture", "must be at least 0"),
+        ("normal_stiffness = 1, largest_closure = 0".to_owned(), "largest_closure", "must be positive"),
+        ("largest_closure = 0.5".to_owned(), "largest_closure", "it needs a normal_stiffness"),
+    ] {
+        let found = found(&law);
+        assert_eq!(found.len(), 1, "{law}: {found:#?}");
+        assert!(
+            found[0].contains(&format!(" fractures.crack.{key}: ")) && found[0].contains(wanted),
+            "{law}: {found:#?}"
+        );
+    }
 }
 
 #[test]

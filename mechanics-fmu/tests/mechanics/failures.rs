@@ -66,7 +66,8 @@ fn a_state_that_is_not_finite_is_not_loaded() {
     let partner = Partner::uniform(mechanics.mesh(), 0.0);
     let (state, _) = step(&mut mechanics, &rest, 1.0, &partner);
     assert_eq!(bits(&mechanics.load(state.clone()).unwrap().unknowns), bits(&state.unknowns));
-    let changes: [(&str, fn(&mut State)); 5] = [
+    type Change = fn(&mut State);
+    let changes: [(&str, Change); 5] = [
         ("time[0] is NaN", |s| s.time = f64::NAN),
         ("displacement[3] is inf", |s| s.unknowns[3] = f64::INFINITY),
         ("multiplier[2] is NaN", |s| s.multiplier[2] = f64::NAN),
