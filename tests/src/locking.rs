@@ -40,7 +40,7 @@ fn solve_undrained(mesh: Arc<Mesh>, model: Model, stiffness: f64) -> (Mechanics,
     let rest = mechanics.rest(0.0);
     match mechanics.step(&rest, 1.0, &partner) {
         Ok(Outcome::Converged(state, _)) => (mechanics, state),
-        Ok(Outcome::NotConverged(report)) => panic!("Newton's method gave up: {report:?}"),
+        Ok(Outcome::Discarded(why, report)) => panic!("{why}: {report:?}"),
         Err(e) => panic!("{e}"),
     }
 }
