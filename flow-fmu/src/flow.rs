@@ -123,7 +123,7 @@ impl Flow {
         fail_on(problems)?;
         let rocks: Vec<Rock> = rocks.into_iter().flatten().collect();
 
-        let space = Space::new(&mesh);
+        let space = Space::new(&mesh, model.planarity);
         let (pressures, inflows) = boundary_data(&mesh, &space, &model);
         let mut given = vec![false; space.trace_count()];
         pressures.iter().for_each(|d| given[d.trace] = true);

@@ -13,18 +13,15 @@
 //! *Traces* are all but p_K, in this order: facets (on fractures the plus side), minus sides of the facets of
 //! fracture faces, fracture faces, fracture edges.
 //!
-//! Deviation: a face is one facet where it is planar. Where it is not, one pressure cannot carry an affine function
-//! exactly, and the triangles (edge, mean of the vertices) of which the mesh says it consists become facets.
+//! Deviation: a face is one facet where it is planar, up to a tolerance ([`FlowModel::planarity`](crate::FlowModel::planarity)).
+//! Where it is not, one pressure cannot carry an affine function exactly, and the triangles (edge, mean of the vertices) of
+//! which the mesh says it consists become facets.
 
 use std::ops::Range;
 
 use mesh::{Lists, Mesh, Side, Vec3};
 
 use crate::local::{Facet, visibility};
-
-/// Largest distance of a vertex from the plane of its face, over the face's diameter, up to which the face counts as
-/// planar. The flux of an affine pressure is wrong by about this part; round-off of coordinates stays below it.
-const PLANAR: f64 = 1e-10;
 
 /// Numbering and geometry of the unknowns.
 #[derive(Clone, Debug)]
@@ -54,8 +51,8 @@ pub struct Space {
 }
 
 impl Space {
-    /// The unknowns on a mesh.
-    pub fn new(mesh: &Mesh) -> Self {
+    /// The unknowns on a mesh. Faces count as planar up to this [`warp`](Mesh::warp).
+    pub fn new(mesh: &Mesh, planarity: f64) -> Self {
         let geometry = mesh.geometry();
         let network = mesh.network();
         let mut space = Self {
@@ -75,7 +72,7 @@ impl Space {
             unseen: Vec::new(),
         };
         for face in 0..mesh.face_count() {
-            if is_planar(mesh, face) {
+            if mesh.warp(face) <= planarity {
                 space.push_facet(face, geometry.face_vector[face], geometry.face_center[face]);
             } else {
                 space.push_triangles(mesh, face);
@@ -243,20 +240,4 @@ impl Space {
 /// Measure of a fracture face in its (mean) plane.
 pub(crate) fn fracture_measure(mesh: &Mesh, fracture_face: usize) -> f64 {
     mesh.geometry().face_vector[mesh.network().faces[fracture_face]].length()
-}
-
-fn is_planar(mesh: &Mesh, face: usize) -> bool {
-    let list = mesh.face_vertices(face);
-    if list.len() <= 3 {
-        return true;
-    }
-    let normal = mesh.geometry().face_normal(face);
-    let center = mesh.geometry().face_center[face];
-    let offsets = list.iter().map(|&v| mesh.vertices()[v] - center);
-    let (mut off_plane, mut diameter) = (0.0f64, 0.0f64);
-    for offset in offsets {
-        off_plane = off_plane.max(offset.dot(normal).abs());
-        diameter = diameter.max(2.0 * offset.length());
-    }
-    off_plane <= PLANAR * diameter
 }

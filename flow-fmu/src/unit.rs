@@ -637,6 +637,7 @@ pub fn flow_model(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitErr
     });
     problem.gravity = flow.gravity.as_ref().map_or(Vec3::ZERO, model::Coordinates::vector);
     problem.initial_time = description.time.start.0;
+    problem.planarity = description.mesh.planarity();
     let pressure = description.function(&description.initial.pressure, Scope::Place)?;
     problem.initial_pressure = SpaceTimeFunction::new(move |x, _| pressure.at(&Point::new(x, 0.0)));
     for name in &mesh.data().regions {

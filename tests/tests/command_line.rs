@@ -274,6 +274,8 @@ fn a_model_of_one_unit_runs_alone_and_is_gone_on_with() {
 fn a_model_is_checked_and_summed_up() {
     let text = succeed(&["check", "six-fractures"]);
     assert!(text.contains("1240 cells") && text.contains("85 fracture faces") && text.contains("vertices"), "{text}");
+    let text = succeed(&["check", "network-3d", "--set", "mesh.cells=dual"]);
+    assert!(text.contains("not planar") && text.contains("splits"), "{text}");
     assert!(succeed(&["schema"]).contains("\"$schema\""));
     assert!(succeed(&["completions", "bash"]).contains("_orchestrator"));
     assert!(succeed(&["run", "--help"]).contains("Examples:"));

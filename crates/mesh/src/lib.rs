@@ -53,6 +53,10 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// The [`warp`](Self::warp) up to which a face counts as planar where nothing else is said: coordinates of single precision
+    /// (6e-8) leave as much on a thousandth of the mesh's extent.
+    pub const PLANAR: f64 = 1e-4;
+
     /// Checks `data` and derives orientation, geometry, fracture network and nodes.
     ///
     /// # Errors
@@ -167,6 +171,23 @@ impl Mesh {
     /// The vertices, split along the fractures.
     pub fn nodes(&self) -> &Nodes {
         &self.nodes
+    }
+
+    /// How far a face is from planar: the largest distance of a vertex from its mean plane, over its diameter (twice the largest
+    /// distance of a vertex from its centre). 0 where there are no more than three vertices.
+    pub fn warp(&self, face: usize) -> f64 {
+        let list = self.face_vertices(face);
+        if list.len() <= 3 {
+            return 0.0;
+        }
+        let (normal, center) = (self.geometry.face_normal(face), self.geometry.face_center[face]);
+        let (mut off_plane, mut diameter) = (0.0f64, 0.0f64);
+        for &v in list {
+            let offset = self.vertices()[v] - center;
+            off_plane = off_plane.max(offset.dot(normal).abs());
+            diameter = diameter.max(2.0 * offset.length());
+        }
+        off_plane / diameter
     }
 
     /// The faces of the outer boundary that carry a tag; none where there is no such tag.

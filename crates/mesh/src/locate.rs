@@ -47,6 +47,18 @@ impl Mesh {
     pub fn locate(&self, point: Vec3) -> Option<usize> {
         choose(self, point, 0..self.cell_count())
     }
+
+    /// Which part of a small ball around `point` lies in the mesh: 1 inside, ½ on a flat boundary, 0 outside.
+    pub fn part_inside(&self, point: Vec3) -> f64 {
+        /// Round-off of the sum of angles.
+        const ROUND_OFF: f64 = 1e-6;
+        let near = |&cell: &usize| {
+            let geometry = self.geometry();
+            geometry.cell_center[cell].distance(point) <= geometry.cell_diameter[cell] * (1.0 + SURFACE)
+        };
+        let filled: f64 = (0..self.cell_count()).filter(near).map(|cell| surroundings(self, cell, point).0).sum();
+        if filled > 1.0 - ROUND_OFF { 1.0 } else { filled.max(0.0) }
+    }
 }
 
 impl Locator<'_> {

@@ -528,6 +528,9 @@ fn check_mesh_source(mesh: &MeshSource, log: &mut Log) {
     if let Some(perturb) = &mesh.perturb {
         log.number("mesh.perturb.amplitude".into(), perturb.amplitude, |v| (0.0..0.5).contains(&v), "in 0..0.5");
     }
+    if let Some(planarity) = mesh.planarity {
+        log.number("mesh.planarity".into(), planarity, |v| v >= 0.0, "at least 0");
+    }
     if mesh.cells == crate::Cells::Agglomerate(0) {
         log.add("mesh.cells.agglomerate", "it must be at least 1");
     }

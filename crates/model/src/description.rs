@@ -91,6 +91,9 @@ pub struct MeshSource {
     /// holds replaces the tag that the face has.
     #[serde(default)]
     pub tags: BTreeMap<String, Value>,
+    /// Largest distance of a vertex from the plane of its face, over the face's diameter, up to which flow takes the face for
+    /// planar; others are split into triangles, which costs about four times the unknowns. Left out: 1e-4.
+    pub planarity: Option<Number>,
 }
 
 /// A box. Boundary tags `left`, `right` (x), `front`, `back` (y), `bottom`, `top` (z); in 2D `bottom` and `top` are

@@ -146,6 +146,11 @@ impl Document {
 }
 
 impl MeshSource {
+    /// The warp up to which a face counts as planar, see [`Mesh::warp`].
+    pub fn planarity(&self) -> f64 {
+        self.planarity.map_or(Mesh::PLANAR, |number| number.0)
+    }
+
     /// The file that the mesh is read from.
     fn file_read(&self) -> Option<&PathBuf> {
         self.corner_point.as_ref().map(|grid| &grid.file).or(self.file.as_ref())

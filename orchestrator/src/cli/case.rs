@@ -10,6 +10,9 @@ use orchestrator::counted;
 
 use super::error::CliError;
 
+/// Faces that are planar up to this part of their diameter are not worth a word: the round-off of generated coordinates.
+const ROUND_OFF: f64 = 1e-10;
+
 /// A model with its variants and changes.
 pub(crate) struct Case {
     /// Name of its folder.
@@ -66,7 +69,7 @@ impl Case {
         let network = mesh.network();
         let units = self.document.model.unit_names();
         format!(
-            "{}\n{}D, {}, {} faces, {} vertices; {}, {}\nunits: {}",
+            "{}\n{}D, {}, {} faces, {} vertices; {}, {}{}\nunits: {}",
             self.document.model.title,
             mesh.dim(),
             counted(mesh.cell_count(), "cell"),
@@ -74,7 +77,22 @@ impl Case {
             mesh.vertices().len(),
             counted(mesh.data().fractures.len(), "fracture"),
             counted(network.face_count(), "fracture face"),
+            self.describe_warps(mesh),
             if units.is_empty() { "none".to_owned() } else { units.join(", ") },
+        )
+    }
+
+    /// A line on the faces that are not planar, where there are such.
+    fn describe_warps(&self, mesh: &Mesh) -> String {
+        let planar = self.document.model.mesh.planarity();
+        let mut bent: Vec<f64> = (0..mesh.face_count()).map(|face| mesh.warp(face)).filter(|&w| w > ROUND_OFF).collect();
+        bent.sort_by(f64::total_cmp);
+        let Some(worst) = bent.last().filter(|_| self.document.model.flow.is_some()) else { return String::new() };
+        let split = bent.len() - bent.partition_point(|&warp| warp <= planar);
+        let faces = if bent.len() == 1 { "1 face is".to_owned() } else { format!("{} faces are", bent.len()) };
+        format!(
+            "\n{faces} not planar, by up to {worst:.1e} of the diameter; flow splits {split} of them into triangles, those \
+             beyond {planar:e} (mesh.planarity)"
         )
     }
 }
