@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::model::Well;
+
 /// One thing that is wrong with the description of a flow problem.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -74,13 +76,13 @@ pub enum Problem {
         /// Where it is (m).
         z: f64,
     },
-    /// The index of a well cannot be had from its radius.
+    /// A well lacks an index, or has none from its radius.
     #[error("well \"{well}\": {reason}")]
     WellIndex {
         /// Its name.
         well: String,
         /// Why.
-        reason: &'static str,
+        reason: String,
     },
     /// An array has the wrong length.
     #[error("{array} has {found} entries; it needs {expected}")]
@@ -105,6 +107,15 @@ pub enum Problem {
         /// Number of fracture faces.
         fracture_faces: usize,
     },
+}
+
+impl Problem {
+    /// A well without an index that allows it is to hold a pressure.
+    pub(crate) fn lacks_index(well: &Well) -> Self {
+        let reason =
+            "to hold a pressure, or to be limited by one, it needs an index, or a radius that gives one".into();
+        Self::WellIndex { well: well.name.clone(), reason }
+    }
 }
 
 /// An error of the flow.

@@ -36,7 +36,7 @@ use crate::model::{FlowModel, Rock, SpaceTimeFunction, fail_on};
 use crate::report::{FlowWork, StepReport, WellReport, timed};
 use crate::scheme::{Coefficients, Evaluation, Scheme};
 use crate::space::Space;
-use crate::wells::{Placed, Spot, place};
+use crate::wells::{Placed, Spot, connect, place};
 
 pub use self::balance::Balance;
 pub use self::energy::Energy;
@@ -96,11 +96,7 @@ impl Flow {
         let rock = |name: &String| model.rocks.iter().find(|r| r.0 == *name).map(|r| r.1);
         let plane = |k: Tensor| if data.dim == 2 { in_plane(k) } else { k };
         let rocks: Vec<Option<Rock>> = data.regions.iter().map(rock).collect();
-        let permeability = |cell: usize| {
-            let rock = rocks[data.cell_region[cell]];
-            rock.map_or(Tensor::IDENTITY, |r| r.permeability)
-        };
-        let wells = place(&mesh, &model.wells, permeability, &mut problems);
+        let spots = place(&mesh, &model.wells, &mut problems);
         let network = mesh.network();
         let fracture = |i: usize| {
             let name = &data.fractures[network.fracture[i]];
@@ -124,6 +120,10 @@ impl Flow {
         let rocks: Vec<Rock> = rocks.into_iter().flatten().collect();
 
         let space = Space::new(&mesh, model.planarity);
+        let mut problems = Vec::new();
+        let permeability = |cell: usize| plane(rocks[data.cell_region[cell]].permeability);
+        let wells = connect(&mesh, &space, &model.wells, &spots, &permeability, &mut problems)?;
+        fail_on(problems)?;
         let (pressures, inflows) = boundary_data(&mesh, &space, &model);
         let mut given = vec![false; space.trace_count()];
         pressures.iter().for_each(|d| given[d.trace] = true);

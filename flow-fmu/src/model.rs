@@ -155,13 +155,21 @@ pub enum WellPlace {
 pub enum WellIndex {
     /// Given.
     Given(f64),
-    /// Peaceman's W = 2π k L / ln(r_e/r_w), r_e = 0.2 √A (SPE 10528, 1983, equation 18 for a square block), for
-    /// a well along z: L the height of the cell (1 in 2D) and A = |K|/L, with k = √(k_x k_y − k_xy²); or, in a
-    /// fracture face in 3D, across it: k L = d_f³/12 and A = |σ|. A fracture face in 2D has no radial flow: give W.
-    Peaceman {
+    /// From the radius, as p_w − p is in the exact flow around a straight well on this mesh, see [`mod@crate::wells`]. A fracture
+    /// face in 2D has no radial flow: give W.
+    Radius {
         /// r_w (m).
         radius: f64,
+        /// Along the well in 3D, of any length; in 2D a well goes across the plane, and in a fracture across the face.
+        direction: Vec3,
     },
+}
+
+impl WellIndex {
+    /// That of a well along z, of this radius (m).
+    pub fn upright(radius: f64) -> Self {
+        Self::Radius { radius, direction: Vec3::Z }
+    }
 }
 
 /// What a well is to do.
@@ -180,13 +188,21 @@ pub struct Well {
     pub name: String,
     /// Where it is.
     pub place: WellPlace,
-    /// How well it is connected.
-    pub index: WellIndex,
+    /// How well it is connected. `None`: unknown, which will do for a rate without a limit; the pressure of such a well is said to be
+    /// that of its cell or fracture face.
+    pub index: Option<WellIndex>,
     /// What it does at the start; [`Inputs`](crate::Inputs) may change it at each time step.
     pub control: Control,
     /// The pressure (Pa) that a well with a rate must not pass: from below when it injects, from above when it
     /// produces. There it holds this pressure until the rate can be had again.
     pub limit: Option<f64>,
+}
+
+impl Well {
+    /// Whether it holds a pressure, or may come to.
+    pub(crate) fn holds_pressure(&self) -> bool {
+        self.limit.is_some() || matches!(self.control, Control::Pressure(_))
+    }
 }
 
 /// The largest pressure stiffnesses that are published, for where they would be infinite.
@@ -303,8 +319,13 @@ impl FlowModel {
                 Control::Pressure(p) => value(&of, "the pressure", p, true, "finite"),
             }
             match well.index {
-                WellIndex::Given(w) => value(&of, "the index", w, w > 0.0, POSITIVE),
-                WellIndex::Peaceman { radius } => value(&of, "the radius", radius, radius > 0.0, POSITIVE),
+                Some(WellIndex::Given(w)) => value(&of, "the index", w, w > 0.0, POSITIVE),
+                Some(WellIndex::Radius { radius, direction }) => {
+                    value(&of, "the radius", radius, radius > 0.0, POSITIVE);
+                    let length = direction.length();
+                    value(&of, "the length of its direction", length, length > 0.0, POSITIVE);
+                }
+                None => {}
             }
             if let Some(limit) = well.limit {
                 value(&of, "the limit", limit, true, "finite");
@@ -323,6 +344,9 @@ impl FlowModel {
         for well in &self.wells {
             if well.name.is_empty() || !seen.insert(&well.name) {
                 problems.push(Problem::Repeated { kind: "well", name: well.name.clone() });
+            }
+            if well.index.is_none() && well.holds_pressure() {
+                problems.push(Problem::lacks_index(well));
             }
         }
         problems

@@ -165,6 +165,20 @@ impl Space {
         self.facet_center[facet]
     }
 
+    /// Corners of a facet (m): those of its face, or of the triangle (edge, mean of the vertices) that it is.
+    pub(crate) fn facet_corners(&self, mesh: &Mesh, facet: usize) -> Vec<Vec3> {
+        let face = self.facet_face[facet];
+        let corners: Vec<Vec3> = mesh.face_vertices(face).iter().map(|&v| mesh.vertices()[v]).collect();
+        if self.facets(face).len() == 1 {
+            return corners;
+        }
+        let mean = corners.iter().sum::<Vec3>() / corners.len() as f64;
+        let triangle = |i: usize| vec![corners[i], corners[(i + 1) % corners.len()], mean];
+        let off = |t: &Vec<Vec3>| (t.iter().sum::<Vec3>() / 3.0).distance_squared(self.facet_center[facet]);
+        let nearest = (0..corners.len()).map(triangle).min_by(|s, t| off(s).total_cmp(&off(t)));
+        nearest.unwrap_or(corners)
+    }
+
     /// x_K, where the pressure of a cell is taken: its centre of mass.
     pub fn cell_point(&self, cell: usize) -> Vec3 {
         self.cell_point[cell]

@@ -695,10 +695,11 @@ fn described_well(name: &str, well: &model::Well) -> Result<Well, UnitError> {
         (None, Some(pressure)) => Control::Pressure(pressure.0),
         (None, None) => return Err(lacks("rate or pressure")),
     };
+    let direction = well.direction.as_ref().map_or(Vec3::Z, model::Coordinates::vector);
     let index = match (well.index, well.radius) {
-        (Some(index), _) => WellIndex::Given(index.0),
-        (None, Some(radius)) => WellIndex::Peaceman { radius: radius.0 },
-        (None, None) => return Err(lacks("index or radius")),
+        (Some(index), _) => Some(WellIndex::Given(index.0)),
+        (None, Some(radius)) => Some(WellIndex::Radius { radius: radius.0, direction }),
+        (None, None) => None,
     };
     Ok(Well { name: name.to_owned(), place, index, control, limit: well.limit.map(|p| p.0) })
 }

@@ -122,22 +122,26 @@ fn choose(mesh: &Mesh, point: Vec3, cells: impl IntoIterator<Item = usize>) -> O
 /// Which part of a small ball around `point` a cell fills (1 inside, 0 outside, between on the surface), and the
 /// distance from its surface (m).
 fn surroundings(mesh: &Mesh, cell: usize, point: Vec3) -> (f64, f64) {
+    let slack = SURFACE * mesh.geometry().cell_diameter[cell];
     let mut filled = 0.0;
     let mut distance = f64::INFINITY;
+    // A plane through the point has no side to it, whatever round-off says.
+    let mut see = |angle: f64, away: f64| {
+        filled += if away <= slack { 0.0 } else { angle };
+        distance = distance.min(away);
+    };
     for (&face, &sign) in mesh.cell_faces(cell).iter().zip(mesh.cell_face_signs(cell)) {
         let list = mesh.face_vertices(face);
         let x = |i: usize| mesh.vertices()[list[i % list.len()]] - point;
         if mesh.dim() == 2 {
             let (a, b) = (x(0), x(1));
-            filled += sign * a.cross(b).z.atan2(a.dot(b)) / (2.0 * PI);
             let t = (b - a) * (-a.dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
-            distance = distance.min((a + t).length());
+            see(sign * a.cross(b).z.atan2(a.dot(b)) / (2.0 * PI), (a + t).length());
         } else {
             let m = (0..list.len()).map(x).sum::<Vec3>() / list.len() as f64;
             for i in 0..list.len() {
                 let (a, b) = (x(i), x(i + 1));
-                filled += sign * solid_angle(m, a, b) / (4.0 * PI);
-                distance = distance.min(distance_from_triangle(m, a, b));
+                see(sign * solid_angle(m, a, b) / (4.0 * PI), distance_from_triangle(m, a, b));
             }
         }
     }

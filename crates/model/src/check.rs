@@ -357,8 +357,13 @@ impl Model {
         if let Some(flow) = &self.flow {
             count("flow.gravity".into(), flow.gravity.as_ref().map(|gravity| gravity.0.len()));
             for (name, well) in &flow.wells {
+                let key = |kind: &str| format!("flow.wells.{}.{kind}", quote(name));
                 for (kind, point) in [("cell", &well.cell), ("fracture_face", &well.fracture_face)] {
-                    count(format!("flow.wells.{}.{kind}", quote(name)), point.as_ref().map(|point| point.0.len()));
+                    count(key(kind), point.as_ref().map(|point| point.0.len()));
+                }
+                match &well.direction {
+                    Some(_) if dim == 2 => outside.push(key("direction")),
+                    direction => count(key("direction"), direction.as_ref().map(|point| point.0.len())),
                 }
             }
         }
@@ -544,7 +549,17 @@ fn check_well(key: &str, well: &Well, log: &mut Log) {
     };
     one(well.cell.is_some(), well.fracture_face.is_some(), "`cell` and `fracture_face`");
     one(well.rate.is_some(), well.pressure.is_some(), "`rate` and `pressure`");
-    one(well.index.is_some(), well.radius.is_some(), "`index` and `radius`");
+    if well.rate.is_none() || well.limit.is_some() || well.index.is_some() && well.radius.is_some() {
+        one(well.index.is_some(), well.radius.is_some(), "`index` and `radius`");
+    }
+    if let Some(direction) = &well.direction {
+        if well.cell.is_none() || well.radius.is_none() {
+            log.add(format!("{key}.direction"), "it is of use with `cell` and `radius` only");
+        }
+        if direction.vector() == mesh::Vec3::ZERO {
+            log.add(format!("{key}.direction"), "its length is 0");
+        }
+    }
     if well.pressure.is_some() && well.limit.is_some() {
         log.add(format!("{key}.limit"), "only a well with a rate can have a limit");
     }

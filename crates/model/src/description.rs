@@ -508,10 +508,14 @@ pub struct Well {
     pub pressure: Option<Number>,
     /// Pressure (Pa) that a well with a rate must not pass.
     pub limit: Option<Number>,
-    /// Well index W (m³, 2D: m²) in q = (W/η) (p_w − p).
+    /// Well index W (m³, 2D: m²) in q = (W/η) (p_w − p). A well with a rate and no limit needs neither index nor radius; its pressure
+    /// is then said to be that of its cell.
     pub index: Option<Number>,
-    /// Or the radius (m), from which W follows by Peaceman's formula.
+    /// Or the radius (m), from which W follows: such that the pressure in the well is that of the exact radial flow around it.
     pub radius: Option<Number>,
+    /// Along the well in 3D, with `cell` and `radius`: a vector of any length. Left out: along z. It is as long as its cell, goes on
+    /// where it leaves the mesh or the permeable rock, and wells that follow one another on a line are one.
+    pub direction: Option<Coordinates>,
 }
 
 /// Times and time steps.

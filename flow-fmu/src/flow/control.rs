@@ -7,7 +7,8 @@ use crate::scheme::{Coefficients, Evaluation};
 use crate::wells::{Placed, Spot};
 
 impl Flow {
-    pub(super) fn well_mobility(&self, well: &Placed) -> f64 {
+    /// W/η; `None` for a well of which only the rate is known.
+    pub(super) fn well_mobility(&self, well: &Placed) -> Option<f64> {
         well.mobility(self.model.fluid.viscosity, |i| self.state.aperture[i])
     }
 
@@ -28,7 +29,8 @@ impl Flow {
             match self.active(w, inputs, limited) {
                 Control::Rate(q) => *source += q,
                 Control::Pressure(p) => {
-                    let mobility = self.well_mobility(well);
+                    // Inputs and limits are checked: it has one, and it is positive.
+                    let mobility = self.well_mobility(well).unwrap_or_default();
                     *diagonal += mobility;
                     *source += mobility * p;
                 }
@@ -55,8 +57,8 @@ impl Flow {
                 let p = self.pressure_at(well.spot, evaluation, traces);
                 let mobility = self.well_mobility(well);
                 let (rate, pressure) = match self.active(w, inputs, limited) {
-                    Control::Rate(q) => (q, p + q / mobility),
-                    Control::Pressure(held) => (mobility * (held - p), held),
+                    Control::Rate(q) => (q, p + mobility.map_or(0.0, |mobility| q / mobility)),
+                    Control::Pressure(held) => (mobility.map_or(0.0, |mobility| mobility * (held - p)), held),
                 };
                 WellReport { rate, pressure, limited: limited[w] }
             })

@@ -68,11 +68,14 @@ impl Flow {
             check_array(array, values, expected, "at least 0 and finite", right, &mut problems);
         }
         if inputs.wells.len() == self.wells.len() {
-            for (well, control) in self.model.wells.iter().zip(&inputs.wells) {
+            for ((well, placed), control) in self.model.wells.iter().zip(&self.wells).zip(&inputs.wells) {
                 let (Control::Rate(value) | Control::Pressure(value)) = *control;
                 if !value.is_finite() {
                     let of = format!("well \"{}\"", well.name);
                     problems.push(Problem::Value { of, quantity: "its control", value, must: "finite" });
+                }
+                if !placed.can_hold_pressure() && matches!(control, Control::Pressure(_)) {
+                    problems.push(Problem::lacks_index(well));
                 }
             }
         } else {

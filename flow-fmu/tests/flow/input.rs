@@ -34,7 +34,7 @@ fn problems(change: impl FnOnce(&mut FlowModel)) -> Vec<Problem> {
 }
 
 fn well(name: &str, place: WellPlace) -> Well {
-    Well { name: name.into(), place, index: WellIndex::Given(1.0), control: Control::Rate(1.0), limit: None }
+    Well { name: name.into(), place, index: Some(WellIndex::Given(1.0)), control: Control::Rate(1.0), limit: None }
 }
 
 #[test]
@@ -98,24 +98,42 @@ fn names() {
 #[test]
 fn wells() {
     let found = problems(|m| {
-        let mut thick = well("thick", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
-        thick.index = WellIndex::Peaceman { radius: 1.0 };
-        let mut radial = well("radial", WellPlace::FractureFace(Vec3::new(0.5, 0.3, 0.0)));
-        radial.index = WellIndex::Peaceman { radius: 1e-3 };
         let mut not = well("not", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
         not.control = Control::Rate(f64::NAN);
+        let mut plain = well("plain", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
+        (plain.index, plain.limit) = (None, Some(1.0));
+        let mut aimless = well("aimless", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
+        aimless.index = Some(WellIndex::Radius { radius: 1e-3, direction: Vec3::ZERO });
         m.wells = vec![
+            plain,
+            aimless,
             well("outside", WellPlace::Cell(Vec3::new(1.1, 0.5, 0.0))),
             well("beside", WellPlace::FractureFace(Vec3::new(0.6, 0.5, 0.0))),
-            thick,
-            radial,
             not,
         ];
     });
     assert_eq!(found.len(), 5, "{found:?}");
     let text = FlowError::Invalid(found).to_string();
-    for part in ["5 faults", "\"outside\" at (1.1, 0.5, 0) lies outside the mesh", "on no fracture face", "radial flow"]
-    {
+    for part in [
+        "5 faults",
+        "\"outside\" at (1.1, 0.5, 0) lies outside the mesh",
+        "on no fracture face",
+        "well \"plain\": to hold a pressure",
+        "the length of its direction is 0e0",
+    ] {
+        assert!(text.contains(part), "{part:?} is not in {text}");
+    }
+    // What only the discretisation tells.
+    let found = problems(|m| {
+        let mut thick = well("thick", WellPlace::Cell(Vec3::new(0.1, 0.1, 0.0)));
+        thick.index = Some(WellIndex::upright(1.0));
+        let mut radial = well("radial", WellPlace::FractureFace(Vec3::new(0.5, 0.3, 0.0)));
+        radial.index = Some(WellIndex::upright(1e-3));
+        m.wells = vec![thick, radial];
+    });
+    assert_eq!(found.len(), 2, "{found:?}");
+    let text = FlowError::Invalid(found).to_string();
+    for part in ["\"thick\": its radius of 1 m is not below 1.410e-1 m", "radial flow"] {
         assert!(text.contains(part), "{part:?} is not in {text}");
     }
 }

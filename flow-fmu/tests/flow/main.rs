@@ -6,5 +6,6 @@ mod coupling;
 mod fractures;
 mod input;
 mod patch;
+mod radial;
 mod transient;
 mod wells;

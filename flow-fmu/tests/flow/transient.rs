@@ -60,7 +60,7 @@ fn everything(dim: usize) -> Flow {
     model.wells.push(flow_fmu::Well {
         name: "injector".into(),
         place: flow_fmu::WellPlace::Cell(Vec3::new(30.0, 30.0, if dim == 2 { 0.0 } else { 30.0 })),
-        index: flow_fmu::WellIndex::Peaceman { radius: 0.1 },
+        index: Some(flow_fmu::WellIndex::upright(0.1)),
         control: flow_fmu::Control::Rate(1e-6),
         limit: None,
     });

@@ -1,4 +1,4 @@
-//! Wells: rates, pressures, limits, places.
+//! Wells: rates, pressures, limits, places. Their pressures against closed forms: `radial`.
 
 use flow_fmu::{Boundary, Control, Flow, FlowModel, Rock, Spot, Well, WellIndex, WellPlace};
 use mesh::Vec3;
@@ -7,7 +7,7 @@ use mesh::generate::cartesian;
 use super::common::*;
 
 fn well(name: &str, place: WellPlace, control: Control, limit: Option<f64>) -> Well {
-    Well { name: name.into(), place, index: WellIndex::Given(2.0), control, limit }
+    Well { name: name.into(), place, index: Some(WellIndex::Given(2.0)), control, limit }
 }
 
 fn flow(wells: Vec<Well>, biot_modulus: Option<f64>) -> Flow {
@@ -70,55 +70,4 @@ fn a_limit_takes_over_and_gives_back() {
     // A producer's limit is a floor.
     inputs.wells[0] = Control::Rate(-3.0);
     flow.step(5.0, &inputs).unwrap();
-}
-
-#[test]
-fn peaceman_on_a_grid_gives_the_radial_pressure() {
-    // A square of 2 × 41 cells of 1 m with the exact logarithm on its sides, K = 1, η = 1, q = 1.
-    let n = 41;
-    let q = 1.0;
-    let half = 0.5 * n as f64;
-    let data = cartesian(Vec3::new(-half, -half, 0.0), Vec3::new(half, half, 0.0), [n, n, 0]);
-    let mesh = mesh(data);
-    let exact = move |r: f64| -q / (2.0 * std::f64::consts::PI) * r.ln();
-    let p = flow_fmu::SpaceTimeFunction::new(move |x: Vec3, _| exact(x.length()));
-    let mut model = all_pressure(&mesh, flow_fmu::Tensor::IDENTITY, p);
-    model.wells.push(Well {
-        name: "w".into(),
-        place: WellPlace::Cell(Vec3::ZERO),
-        index: WellIndex::Peaceman { radius: 0.05 },
-        control: Control::Rate(q),
-        limit: None,
-    });
-    let (_, report) = steady(&mesh, model);
-    // Peaceman's radius is that of the five-point scheme; here it is near to it.
-    let difference = report.wells[0].pressure - exact(0.05);
-    assert!(difference.abs() < 0.05 * exact(0.05), "{difference} of {}", exact(0.05));
-}
-
-#[test]
-fn peaceman_in_three_dimensions() {
-    // A cell of 2 × 2 × 3 m and K = diag(4, 1, 9); a fracture face of 2 × 3 m and d_f³/12 = 5.
-    let mut data = cartesian(Vec3::ZERO, Vec3::new(4.0, 4.0, 6.0), [2, 2, 2]);
-    data.mark_fracture("f", |x| x.x == 2.0);
-    let mesh = mesh(data);
-    let k = flow_fmu::Tensor::from_diagonal(Vec3::new(4.0, 1.0, 9.0));
-    let mut model = all_pressure(&mesh, k, 0.0.into());
-    model.fractures.push(("f".into(), fracture(5.0, 1.0)));
-    let radius = 0.1;
-    let index = WellIndex::Peaceman { radius };
-    for (name, place) in
-        [("rock", WellPlace::Cell(Vec3::splat(1.0))), ("fracture", WellPlace::FractureFace(Vec3::new(2.0, 1.0, 1.0)))]
-    {
-        model.wells.push(Well { name: name.into(), place, index, control: Control::Rate(2.0), limit: None });
-    }
-    let (flow, report) = steady(&mesh, model);
-    for (w, (strength, area)) in [(2.0 * 3.0, 4.0f64), (5.0, 6.0)].into_iter().enumerate() {
-        let p = match flow.well_spots()[w] {
-            Spot::Cell(cell) => flow.state().matrix_pressure[cell],
-            Spot::FractureFace(i) => flow.fracture_pressure()[i],
-        };
-        let expected = 2.0 * (0.2 * area.sqrt() / radius).ln() / (2.0 * std::f64::consts::PI * strength);
-        assert!((report.wells[w].pressure - p - expected).abs() < 1e-12);
-    }
 }

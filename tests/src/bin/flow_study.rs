@@ -577,7 +577,7 @@ fn theis(output: &Path) -> Outcome<()> {
         model.wells.push(Well {
             name: "well".into(),
             place: WellPlace::Cell(Vec3::ZERO),
-            index: WellIndex::Peaceman { radius: 0.01 },
+            index: Some(WellIndex::upright(0.01)),
             control: Control::Rate(q),
             limit: None,
         });
