@@ -13,7 +13,7 @@ use crate::error::CouplingError;
 use crate::interface::Interface;
 use crate::run::{Settings, State};
 
-const MAGIC: [u8; 8] = *b"couple\0\x02";
+const MAGIC: [u8; 8] = *b"couple\0\x03";
 /// Bytes of the digest.
 const DIGEST: usize = 32;
 
@@ -38,6 +38,7 @@ impl Checkpoint {
         let fields = interface.fields.len();
         let state = &self.state;
         let fits = state.ranges.len() == fields
+            && state.initial.len() == fields
             && state.sensitivities.len() == fields
             && state.history.iter().all(|(_, f)| f.len() == fields)
             && !state.history.is_empty()

@@ -78,13 +78,14 @@ impl Interface {
     /// | `matrix.porosity_change` (1) | mechanics | `matrix.porosity_compliance` (1/Pa) | matrix pressure |
     /// | `fracture.aperture` (m) | mechanics | `fracture.aperture_compliance` (m/Pa) | fracture pressure |
     ///
-    /// The floors of the criteria are some part of what a small case has: 10 kPa, a porosity of 1e-5, 10 µm.
+    /// The floors of the criteria, by which what is left of a field may be taken for nothing: 100 Pa, and what they do to rock of
+    /// 10 GPa, a porosity of 1e-8, 10 nm.
     pub fn poroelastic() -> Self {
         let table = [
-            ("matrix.pressure_stiffness", 2, 1e4),
-            ("fracture.pressure_stiffness", 3, 1e4),
-            ("matrix.porosity_compliance", 0, 1e-5),
-            ("fracture.aperture_compliance", 1, 1e-5),
+            ("matrix.pressure_stiffness", 2, 1e2),
+            ("fracture.pressure_stiffness", 3, 1e2),
+            ("matrix.porosity_compliance", 0, 1e-8),
+            ("fracture.aperture_compliance", 1, 1e-8),
         ];
         let fields = QUANTITIES.iter().filter(|quantity| quantity.referenced);
         let fields = fields.zip(table).map(|(quantity, (variable, partner, floor))| Field {

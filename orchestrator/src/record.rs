@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct FieldResidual {
     /// Norm of the residual, in the unit of the field.
     pub norm: f64,
-    /// What it must not exceed: tolerance × max(range, floor).
+    /// What it must not exceed: tolerance × max(floor, range of what is left).
     pub limit: f64,
     /// Entry with the largest residual; `None` for a field without entries.
     pub worst: Option<usize>,
@@ -68,6 +68,15 @@ pub enum AttemptOutcome {
         /// What it says.
         reason: String,
     },
+    /// Not all criteria hold, but what is left is round-off of the units: as good as it gets.
+    RoundOff,
+}
+
+impl AttemptOutcome {
+    /// Whether the time step is done.
+    pub fn is_accepted(&self) -> bool {
+        matches!(self, Self::Converged | Self::RoundOff)
+    }
 }
 
 impl fmt::Display for AttemptOutcome {
@@ -78,6 +87,7 @@ impl fmt::Display for AttemptOutcome {
             Self::Diverged => f.write_str("the coupling diverged"),
             Self::NotFinite => f.write_str("a field is not finite"),
             Self::Discarded { unit, reason } => write!(f, "{unit} discarded its time step: {reason}"),
+            Self::RoundOff => f.write_str("as good as it gets: what is left is round-off"),
         }
     }
 }

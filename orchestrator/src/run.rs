@@ -1,19 +1,21 @@
 //! The loop over time steps and coupling iterations.
 
+mod criterion;
 mod estimate;
 mod newton_krylov;
 
 use std::time::Instant;
 
-use model::{Acceleration, Coupling, Extrapolation, Norm, Number, Refresh, Time};
+use model::{Acceleration, Coupling, Extrapolation, Number, Refresh, Time};
 
 use crate::acceleration::Accelerator;
 use crate::checkpoint::Checkpoint;
 use crate::error::CouplingError;
 use crate::interface::{Connection, Field, Interface, Scheme};
 use crate::record::{Attempt, AttemptOutcome, FailedField, Failure, FieldResidual, IterationRecord, StepRecord};
-use crate::time::{Pace, TimeControl};
+use crate::time::{Pace, TimeControl, are_near};
 use crate::unit::{StepOutcome, Unit, UnitError};
+use criterion::{NONE, Standstill, nudge, wider};
 use estimate::Estimate;
 use newton_krylov::{At, Search, reference_of, scatter};
 
@@ -51,6 +53,11 @@ impl Settings {
             time: model.time.clone(),
             output_times: model.output.times.iter().map(|t| t.0).collect(),
         }
+    }
+
+    /// Whether fields are written at a time (s): at the output times, or always where there are none.
+    pub fn is_output_time(&self, time: f64) -> bool {
+        self.output_times.is_empty() || self.output_times.iter().any(|&t| are_near(&self.time, t, time))
     }
 }
 
@@ -100,11 +107,24 @@ pub(crate) struct State {
     pub(crate) pace: Pace,
     /// Times and fields, the newest last; at most three.
     pub(crate) history: Vec<(f64, Fields)>,
+    /// The fields at the start of the run.
+    pub(crate) initial: Fields,
     /// Smallest and largest value that each field has had.
     pub(crate) ranges: Vec<[f64; 2]>,
     /// The sensitivities last published, for each field; empty where they are not connected.
     pub(crate) sensitivities: Fields,
     pub(crate) accelerator: Accelerator,
+    /// How far GMRES is to reduce a residual in the first Newton iteration of the next time step.
+    pub(crate) forcing: f64,
+}
+
+impl State {
+    /// Widens the ranges to hold the values of fields.
+    fn widen(&mut self, fields: &Fields) {
+        for (range, field) in self.ranges.iter_mut().zip(fields) {
+            *range = wider(*range, field.iter().copied());
+        }
+    }
 }
 
 /// How a pass through the coupled units ended.
@@ -130,7 +150,8 @@ impl Run {
         for unit in 0..run.interface.coupled {
             run.get_outputs(unit, &mut fields)?;
         }
-        widen(&mut run.state.ranges, &fields);
+        run.state.widen(&fields);
+        run.state.initial.clone_from(&fields);
         run.state.history.push((time, fields));
         Ok(run)
     }
@@ -176,9 +197,11 @@ impl Run {
             time: settings.time.start.0,
             pace: control.first(),
             history: Vec::new(),
-            ranges: vec![[f64::INFINITY, f64::NEG_INFINITY]; interface.fields.len()],
+            initial: Vec::new(),
+            ranges: vec![NONE; interface.fields.len()],
             sensitivities: vec![Vec::new(); interface.fields.len()],
             accelerator: Accelerator::default(),
+            forcing: newton_krylov::FORCING,
         });
         Ok(Self { units, interface, settings, control, state })
     }
@@ -257,12 +280,12 @@ impl Run {
             let step = end - self.state.time;
             let (mut attempt, fields, residual) = self.attempt(end, watch)?;
             let mut moved = coupled;
-            if attempt.outcome == AttemptOutcome::Converged {
+            if attempt.outcome.is_accepted() {
                 moved = self.follow(step, &mut attempt)?;
             }
-            let outcome = attempt.outcome.clone();
+            let is_accepted = attempt.outcome.is_accepted();
             attempts.push(attempt);
-            if outcome == AttemptOutcome::Converged {
+            if is_accepted {
                 return Ok(self.accept(end, pace, fields, attempts));
             }
             let can_roll_back = self.units[..moved].iter().all(|unit| unit.can_roll_back());
@@ -320,7 +343,7 @@ impl Run {
         let state = &mut self.state;
         state.pace = self.control.accepted(pace, end, end - state.time, iterations, &changes);
         state.accelerator.accept(self.settings.coupling.acceleration);
-        widen(&mut state.ranges, &fields);
+        state.widen(&fields);
         state.history.push((end, fields));
         if state.history.len() > 3 {
             state.history.remove(0);
@@ -348,13 +371,15 @@ impl Run {
         let mut least = f64::INFINITY;
         // The last fields as they came, for where a unit refuses what acceleration made of them.
         let mut plain = None;
-        let mut search = Search::default();
+        let mut search = Search::new(self.state.forcing);
         let mut estimate = Estimate::default();
+        let (mut standstill, mut before_nudge) = (Standstill::default(), None::<Fields>);
+        let weighing = self.weighing();
         for iteration in 1..=max_iterations {
             if iteration > 1 {
                 self.each_coupled(|unit| unit.restore())?;
             }
-            let (pass, trust) = self.careful_pass(&x, step, plain.is_none())?;
+            let (pass, trust) = self.careful_pass(&x, step, plain.is_none(), before_nudge.is_some())?;
             let (fields, mut record) = match pass {
                 Pass::Done { fields, record } => (fields, record),
                 Pass::Discarded { unit, reason } => {
@@ -373,28 +398,40 @@ impl Run {
                 }
             };
             residual = (fields.iter().zip(&x)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
-            record.residuals = self.residuals(&residual);
+            let scales = self.scales(&fields);
+            record.residuals = self.residuals(&residual, &scales);
             let ratio = record.ratio();
             let newton = matches!(acceleration, Acceleration::NewtonKrylov { .. });
-            estimate.see(&fields, &residual, newton);
-            let converged = record.residuals.iter().all(FieldResidual::holds) && {
-                let weight = |f: usize| 1.0 / self.scale(f) / (fields[f].len() as f64).sqrt();
-                let error = estimate.error(&accelerated, &weight, newton);
-                error.is_none_or(|error| self.residuals(&error).iter().all(FieldResidual::holds))
-            };
+            let weights = self.weights(&accelerated, &fields, &weighing);
+            let r: Vec<f64> = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
+            if before_nudge.is_none() {
+                estimate.see(&fields, &residual, newton);
+                search.see(&r, &weights);
+            }
+            let mut holds: Vec<bool> = record.residuals.iter().map(FieldResidual::holds).collect();
+            if before_nudge.is_some() || holds.iter().all(|&holds| holds) {
+                let weight = |f: usize| 1.0 / weighing[f] / (fields[f].len() as f64).sqrt();
+                if let Some(error) = estimate.error(&accelerated, &weight, newton) {
+                    let errors = self.residuals(&error, &scales);
+                    holds.iter_mut().zip(errors).for_each(|(holds, error)| *holds &= error.holds());
+                }
+            }
             watch(end, iteration, &record);
             let finite = fields.iter().flatten().all(|v| v.is_finite());
             least = least.min(ratio);
             let outcome = if !finite {
                 Some(AttemptOutcome::NotFinite)
-            } else if loose || converged {
+            } else if loose || holds.iter().all(|&holds| holds) {
                 Some(AttemptOutcome::Converged)
+            } else if before_nudge.take().is_some_and(|before| self.is_round_off(&record, &holds, &fields, &before)) {
+                Some(AttemptOutcome::RoundOff)
             } else {
                 (ratio > DIVERGED * least).then_some(AttemptOutcome::Diverged)
             };
             if let Some(outcome) = outcome {
                 attempt.iterations.push(record);
                 attempt.outcome = outcome;
+                self.state.forcing = search.forcing();
                 return Ok((attempt, fields, residual));
             }
             if trust < 1.0 {
@@ -405,16 +442,20 @@ impl Run {
                 (plain, x) = (None, fields);
                 continue;
             }
-            // Fields that are not accelerated are only compared.
-            let weights = self.weights(&accelerated, &fields);
+            if standstill.see(&record, &holds, &fields) {
+                attempt.iterations.push(record);
+                before_nudge = Some(fields);
+                continue;
+            }
             let mut flat: Vec<f64> = accelerated.iter().flat_map(|&f| x[f].iter().copied()).collect();
-            let r: Vec<f64> = accelerated.iter().flat_map(|&f| residual[f].iter().copied()).collect();
             if let Acceleration::NewtonKrylov { krylov } = acceleration {
-                let at = At { x: &x, fields: &fields, step, accelerated: &accelerated, weights: &weights };
+                let scales = [&weighing[..], &scales];
+                let at = At { x: &x, fields: &fields, step, accelerated: &accelerated, weights: &weights, scales };
                 flat = self.newton_krylov(&mut search, &at, flat, &r, krylov, &mut record)?;
             } else {
                 self.state.accelerator.next(acceleration, &mut flat, r, &weights);
             }
+            // Fields that are not accelerated are only compared.
             attempt.iterations.push(record);
             plain = (acceleration != Acceleration::None).then(|| fields.clone());
             x = fields;
@@ -457,13 +498,19 @@ impl Run {
     }
 
     /// A pass, with as much of the sensitivities as it takes; gives that part too.
-    fn careful_pass(&mut self, x: &Fields, step: f64, is_plain: bool) -> Result<(Pass, f64), CouplingError> {
+    fn careful_pass(
+        &mut self,
+        x: &Fields,
+        step: f64,
+        is_plain: bool,
+        nudged: bool,
+    ) -> Result<(Pass, f64), CouplingError> {
         let scheme = self.settings.scheme;
         let can_try = is_plain && self.interface.coupled > 1 && scheme.connected[1 - scheme.first];
         let mut trust = TRUST.into_iter();
         let mut now = 1.0;
         loop {
-            let pass = self.pass(x, step, now)?;
+            let pass = self.pass(x, step, now, nudged)?;
             // The unit that goes second has not been asked yet: both are as before.
             let is_refused = matches!(&pass, Pass::Discarded { unit, .. } if *unit == scheme.first);
             match trust.next().filter(|_| is_refused && can_try) {
@@ -473,8 +520,9 @@ impl Run {
         }
     }
 
-    /// Lets the coupled units do the time step, each from the state it is in.
-    fn pass(&mut self, x: &Fields, step: f64, trust: f64) -> Result<Pass, CouplingError> {
+    /// Lets the coupled units do the time step, each from the state it is in. `nudged`: what they are given differs in its last
+    /// digits.
+    fn pass(&mut self, x: &Fields, step: f64, trust: f64, nudged: bool) -> Result<Pass, CouplingError> {
         let mut fields = x.clone();
         let units = self.units.len();
         let (seconds, newton) = (vec![0.0; units], vec![None; units]);
@@ -482,7 +530,11 @@ impl Run {
         let (first, coupled) = (self.settings.scheme.first, self.interface.coupled);
         for unit in [first, 1 - first].into_iter().filter(|&unit| unit < coupled) {
             let clock = Instant::now();
-            self.set_inputs(unit, &fields, x, trust)?;
+            if nudged {
+                self.set_inputs(unit, &nudge(&fields), &nudge(x), trust)?;
+            } else {
+                self.set_inputs(unit, &fields, x, trust)?;
+            }
             let time = self.state.time;
             let outcome = self.call(unit, |u| u.step(time, step))?;
             if let StepOutcome::Discarded { reason } = outcome {
@@ -580,37 +632,6 @@ impl Run {
             .try_for_each(|unit| if self.units[unit].can_roll_back() { self.call(unit, &act) } else { Ok(()) })
     }
 
-    /// Scale of a field: its range at all times up to now, or its floor. Iterates have no part in it: those that
-    /// diverge would excuse themselves.
-    fn scale(&self, f: usize) -> f64 {
-        let [low, high] = self.state.ranges[f];
-        self.interface.fields[f].criterion.floor.0.max(high - low)
-    }
-
-    fn residuals(&self, residual: &Fields) -> Vec<FieldResidual> {
-        let of = |f: usize| {
-            let criterion = self.interface.fields[f].criterion;
-            let r = &residual[f];
-            let worst = (0..r.len()).max_by(|&a, &b| r[a].abs().total_cmp(&r[b].abs()));
-            let norm = match criterion.norm {
-                Norm::Largest => worst.map_or(0.0, |w| r[w].abs()),
-                Norm::RootMeanSquare => (r.iter().map(|r| r * r).sum::<f64>() / r.len().max(1) as f64).sqrt(),
-            };
-            FieldResidual { norm, limit: criterion.tolerance.0 * self.scale(f), worst }
-        };
-        (0..residual.len()).map(of).collect()
-    }
-
-    /// 1/(scale √entries) for each accelerated entry: all fields count alike.
-    fn weights(&self, accelerated: &[usize], fields: &Fields) -> Vec<f64> {
-        let of = |&f: &usize| {
-            let n = fields[f].len();
-            let scale = self.scale(f) * (n as f64).sqrt();
-            std::iter::repeat_n(if scale > 0.0 { 1.0 / scale } else { 1.0 }, n)
-        };
-        accelerated.iter().flat_map(of).collect()
-    }
-
     fn failure(&self, attempts: Vec<Attempt>, residual: &Fields, can_roll_back: bool) -> Failure {
         let last = attempts.last().and_then(|a| a.iterations.last());
         let mut fields = Vec::new();
@@ -623,12 +644,5 @@ impl Run {
         }
         let minimum = can_roll_back.then(|| self.control.minimum());
         Failure { time: self.state.time, minimum, attempts, fields }
-    }
-}
-
-/// Widens ranges to hold the values of fields.
-fn widen(ranges: &mut [[f64; 2]], fields: &[Vec<f64>]) {
-    for (range, field) in ranges.iter_mut().zip(fields) {
-        *range = field.iter().fold(*range, |[low, high], &v| [low.min(v), high.max(v)]);
     }
 }

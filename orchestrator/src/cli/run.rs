@@ -10,7 +10,9 @@ use model::Document;
 use orchestrator::fmi::{self, Fmu, FmuUnit};
 use orchestrator::results::{Folder, Manifest, ResultsError, Snapshot, Summary, UnitVersion};
 use orchestrator::ssp;
-use orchestrator::{Checkpoint, Cost, CouplingError, Interface, Run, Settings, StepRecord, Unit, counted};
+use orchestrator::{
+    AttemptOutcome, Checkpoint, Cost, CouplingError, Interface, Run, Settings, StepRecord, Unit, counted,
+};
 use serde_json::json;
 
 use super::case::{Case, as_strs};
@@ -158,8 +160,7 @@ pub(crate) fn start(paths: &Fmus, document: &Document, mesh: &Mesh) -> Result<St
     let interface = interface.with_criteria(&model.coupling.criteria).fitted(&units)?;
     let (settings, note) = Settings::of(model).fitted(&interface);
     notes.extend(note);
-    let times = model.output.times.iter().map(|t| t.0).collect();
-    let series = Series::new(&descriptions, &interface, mesh, times);
+    let series = Series::new(&descriptions, &interface, mesh, settings.clone());
     let version = |(name, description): &(&str, &fmi::Description)| UnitVersion {
         name: (*name).to_owned(),
         version: format!("{}, token {}", description.model_name, description.token),
@@ -372,6 +373,7 @@ fn drive(
                 "largest_coupling_iterations": totals.largest,
                 "derivatives": totals.derivatives,
                 "newton_iterations": totals.newton,
+                "time_steps_at_round_off": totals.at_round_off,
                 "seconds": seconds,
                 "units": Cost::by_unit(&summary.units),
                 "peak_memory": peaks.largest(),
@@ -395,6 +397,8 @@ struct Totals {
     largest: usize,
     newton: u64,
     derivatives: usize,
+    /// Time steps in which tolerances lay below round-off.
+    at_round_off: usize,
 }
 
 impl Totals {
@@ -405,6 +409,7 @@ impl Totals {
         self.iterations += iterations;
         self.largest = self.largest.max(iterations);
         self.newton += newton(record);
+        self.at_round_off += usize::from(record.attempts.iter().any(|a| a.outcome == AttemptOutcome::RoundOff));
         self.derivatives += record.iterations().iter().map(|iteration| iteration.derivatives).sum::<usize>();
     }
 
@@ -412,13 +417,18 @@ impl Totals {
         let from = if self.first > 0 { format!(" after the first {}", self.first) } else { String::new() };
         let mean = self.iterations as f64 / self.steps.max(1) as f64;
         let mut text = format!(
-            "{}{from} ({}), coupling iterations {mean:.1} on average, {} at most, {}, {} Newton iterations\nseconds:",
+            "{}{from} ({}), coupling iterations {mean:.1} on average, {} at most, {}, {} Newton iterations",
             counted(self.steps, "time step"),
             counted(self.attempts, "attempt"),
             self.largest,
             counted(self.derivatives, "directional derivative"),
             self.newton
         );
+        if self.at_round_off > 0 {
+            let n = counted(self.at_round_off, "time step");
+            text += &format!("; {n} as good as it gets, not to the tolerance");
+        }
+        text += "\nseconds:";
         for (i, (name, seconds)) in parts.iter().enumerate() {
             text += &format!("{} {name} {seconds:.2}", if i == 0 { "" } else { "," });
         }

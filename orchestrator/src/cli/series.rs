@@ -3,7 +3,7 @@
 use mesh::Mesh;
 use orchestrator::fmi::{Causality, Description};
 use orchestrator::results::{Array, Scalar, Shape, Snapshot};
-use orchestrator::{CouplingError, EnergyEstimate, Interface, Run, Unit};
+use orchestrator::{CouplingError, EnergyEstimate, Interface, Run, Settings, Unit};
 
 /// Outputs that count what an instance did: they are no part of its state, and would not survive a resumed run.
 const WORK: [&str; 1] = ["factorisations"];
@@ -14,8 +14,8 @@ pub(crate) struct Series {
     arrays: Vec<(Output, Shape)>,
     /// All arrays that are outputs, recorded or not.
     fields: Vec<Output>,
-    /// Times (s) at which arrays are; empty: at all.
-    times: Vec<f64>,
+    /// They say at which times arrays are recorded.
+    settings: Settings,
     energy: EnergyEstimate,
 }
 
@@ -30,11 +30,11 @@ struct Output {
 
 impl Series {
     /// All scalar outputs, and all arrays on cells and fracture faces but for the sensitivities.
-    pub(crate) fn new(units: &[(&str, &Description)], interface: &Interface, mesh: &Mesh, times: Vec<f64>) -> Self {
+    pub(crate) fn new(units: &[(&str, &Description)], interface: &Interface, mesh: &Mesh, settings: Settings) -> Self {
         let sensitivities: Vec<&str> =
             interface.fields.iter().filter_map(|f| f.sensitivity.as_ref()).map(|s| s.variable.as_str()).collect();
         let (scalars, arrays, fields) = (Vec::new(), Vec::new(), Vec::new());
-        let mut series = Self { scalars, arrays, fields, times, energy: EnergyEstimate::default() };
+        let mut series = Self { scalars, arrays, fields, settings, energy: EnergyEstimate::default() };
         for (unit, &(unit_name, description)) in units.iter().enumerate() {
             for (variable, v) in &description.variables {
                 let left_out = WORK.contains(&variable.as_str()) || sensitivities.contains(&variable.as_str());
@@ -90,7 +90,7 @@ impl Series {
             let value = read(output)?.first().copied().unwrap_or(f64::NAN);
             snapshot.scalars.push(Scalar::new(&output.name, &output.measure, value));
         }
-        if self.times.is_empty() || self.times.contains(&time) {
+        if self.settings.is_output_time(time) {
             for (output, shape) in &self.arrays {
                 snapshot.arrays.push(Array::new(&output.name, &output.measure, *shape, read(output)?));
             }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use coupling::Role;
 use orchestrator::fmi::{Description, Fmu, Version};
-use orchestrator::{AttemptOutcome, CouplingError, FLOW, MECHANICS, StepOutcome, Unit, UnitError};
+use orchestrator::{CouplingError, FLOW, MECHANICS, StepOutcome, Unit, UnitError};
 
 use super::case::Case;
 use super::error::CliError;
@@ -51,7 +51,7 @@ pub(crate) fn check_unit(mut case: Case, path: PathBuf, role: Option<Role>) -> R
     let record = run.advance()?;
     let last = record.attempts.last();
     let step = last.map_or(0.0, |a| a.step);
-    let failed = record.attempts.iter().filter(|a| a.outcome != AttemptOutcome::Converged).count();
+    let failed = record.attempts.iter().filter(|a| !a.outcome.is_accepted()).count();
     say(&format!(
         "  a coupled time step of {step} s: {} iterations, {failed} failed attempts before it",
         record.iterations().len()

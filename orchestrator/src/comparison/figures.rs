@@ -505,7 +505,7 @@ impl Picture<'_> {
         let points = |row: &Row<'_>| -> Vec<(f64, f64)> {
             let attempts = row.entry.outcome.iter().flat_map(super::Outcome::attempts).map(|a| a.1);
             // One that failed is the hardest of all.
-            let hardest = attempts.max_by_key(|a| (a.outcome != AttemptOutcome::Converged, a.iterations.len()));
+            let hardest = attempts.max_by_key(|a| (!a.outcome.is_accepted(), a.iterations.len()));
             let list = |a: &Attempt| (1..).zip(&a.iterations).map(|(i, r)| (f64::from(i), r.ratio().log10())).collect();
             hardest.map_or_else(Vec::new, list)
         };

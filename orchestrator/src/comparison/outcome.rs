@@ -5,7 +5,7 @@ use std::path::Path;
 use mesh::Mesh;
 use serde::{Deserialize, Serialize};
 
-use crate::record::{Attempt, AttemptOutcome, Failure, StepRecord};
+use crate::record::{Attempt, Failure, StepRecord};
 use crate::results::{Quantity, ResultsError, Shape, Snapshot, files};
 
 /// What a run leaves.
@@ -68,7 +68,7 @@ impl Outcome {
         Measures {
             reached: self.snapshots.last().map_or(0.0, |s| s.time),
             time_steps: self.records.len(),
-            failed_attempts: self.attempts().filter(|(_, a)| a.outcome != AttemptOutcome::Converged).count(),
+            failed_attempts: self.attempts().filter(|(_, a)| !a.outcome.is_accepted()).count(),
             iterations: iterations().count(),
             mean: iterations().count() as f64 / self.attempts().map(|(n, _)| n).max().unwrap_or(1) as f64,
             largest: accepted.max().unwrap_or(0),
@@ -170,7 +170,7 @@ mod tests {
             attempts: vec![Attempt {
                 step: 1.0,
                 iterations: norms.iter().map(iteration).collect(),
-                outcome: AttemptOutcome::Converged,
+                outcome: crate::AttemptOutcome::Converged,
             }],
         };
         let snapshot = |&(time, value): &(f64, f64)| Snapshot {

@@ -58,6 +58,8 @@ pub(crate) struct Totals {
     pub(crate) time_steps: usize,
     /// Attempts at them that failed.
     pub(crate) failed_attempts: usize,
+    /// Time steps in which tolerances lay below round-off.
+    pub(crate) at_round_off: usize,
     /// Coupling iterations of all attempts.
     pub(crate) iterations: usize,
     /// Directional derivatives of each unit.
@@ -86,7 +88,8 @@ impl Totals {
         seconds.extend(summary.seconds.iter().cloned());
         Self {
             time_steps: history.records.len(),
-            failed_attempts: attempts().filter(|a| a.outcome != AttemptOutcome::Converged).count(),
+            failed_attempts: attempts().filter(|a| !a.outcome.is_accepted()).count(),
+            at_round_off: attempts().filter(|a| a.outcome == AttemptOutcome::RoundOff).count(),
             iterations: iterations().count(),
             derivatives: iterations().map(|i| i.derivatives).sum(),
             range: (accepted().min().unwrap_or(0), accepted().max().unwrap_or(0)),
@@ -104,6 +107,7 @@ impl Totals {
             "failure": summary.failure.as_ref().map(ToString::to_string),
             "time_steps": self.time_steps,
             "failed_attempts": self.failed_attempts,
+            "time_steps_at_round_off": self.at_round_off,
             "coupling_iterations": self.iterations,
             "derivatives": self.derivatives,
             "newton_iterations": self.newton,
@@ -179,6 +183,10 @@ fn facts(manifest: &Manifest, history: &History, totals: &Totals) -> String {
     ];
     if !manifest.fields.is_empty() {
         list.push((format!("{:.1}", totals.mean_iterations(history)), "coupling iterations a time step".into()));
+    }
+    if totals.at_round_off > 0 {
+        let what = format!("{} as good as it gets, not to the tolerance", plural(totals.at_round_off, "time step"));
+        list.push((grouped(totals.at_round_off), what));
     }
     for (unit, newton) in manifest.units.iter().zip(&totals.newton) {
         if let Some(newton) = newton {
@@ -273,7 +281,7 @@ fn costs(costs: &[Cost]) -> String {
 fn failed(history: &History) -> String {
     let rows: Vec<(usize, f64, &Attempt)> = (history.records.iter())
         .flat_map(|r| r.attempts.iter().map(|a| (r.number, r.time, a)))
-        .filter(|row| row.2.outcome != AttemptOutcome::Converged)
+        .filter(|row| !row.2.outcome.is_accepted())
         .collect();
     if rows.is_empty() {
         return String::new();

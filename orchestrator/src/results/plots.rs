@@ -13,7 +13,7 @@ use super::chart::{
 use super::journal::Entries;
 use super::{Array, Manifest, Quantity, ResultsError, Shape};
 use crate::energy::SLACK;
-use crate::record::{Attempt, AttemptOutcome, Failure, StepRecord};
+use crate::record::{Attempt, Failure, StepRecord};
 
 /// Output times that are drawn, at most: the last one and others evenly before it.
 const SHOWN: usize = 6;
@@ -450,8 +450,7 @@ fn convergence(history: &History, failure: Option<&Failure>) -> Result<Option<Fi
         curves.push(Curve { label, circles: drawn.len() <= 30, ..plain(color, accepted) });
     }
     let before = drawn.iter().flat_map(|record| &record.attempts);
-    let failed =
-        before.chain(failure.iter().flat_map(|f| &f.attempts)).filter(|a| a.outcome != AttemptOutcome::Converged);
+    let failed = before.chain(failure.iter().flat_map(|f| &f.attempts)).filter(|a| !a.outcome.is_accepted());
     for (i, attempt) in failed.enumerate() {
         let label = (i == 0).then(|| "failed".into());
         curves.push(Curve { label, dashed: true, ..plain(ORANGE, points(attempt)) });

@@ -128,6 +128,7 @@ pub(crate) fn outcome(outcome: &AttemptOutcome) -> &'static str {
         AttemptOutcome::Diverged => "diverged",
         AttemptOutcome::NotFinite => "not_finite",
         AttemptOutcome::Discarded { .. } => "discarded",
+        AttemptOutcome::RoundOff => "round_off",
     }
 }
 

@@ -10,17 +10,28 @@
 //! hold the contact states of that pass; a unit that has none is asked for differences of time steps. The split is the
 //! preconditioner: where it is good, G′ is small. λ is halved while a unit refuses, and from the best place so far where
 //! steps do not get below the residual there, as where contact states change back and forth.
+//!
+//! GMRES reduces the residual by η, the part of it by which r has shown not to be linear (Eisenstat, Walker, SIAM J. Sci. Comput. 17,
+//! 1996, choice 1), but by no less than [`FORCING`]:
+//!
+//! ```text
+//! η = | ‖r(x + s)‖ − ‖r(x) − (I − G′(x)) s‖ | / ‖r(x)‖
+//! ```
+//!
+//! Where contact states stay as they are, η is 0 but for round-off, and a time step takes one Newton iteration.
 
 use std::cell::RefCell;
 use std::time::Instant;
 
 use super::{Fields, Run};
 use crate::error::CouplingError;
-use crate::record::IterationRecord;
+use crate::record::{FieldResidual, IterationRecord};
 use crate::unit::StepOutcome;
 
-/// GMRES reduces the residual by this much. Contact states seldom leave Newton's method more than that.
-const FORCING: f64 = 1e-3;
+/// GMRES reduces the residual by this much at least. Contact states seldom leave Newton's method more than that.
+pub(super) const FORCING: f64 = 1e-3;
+/// It is not asked for more than this: derivatives are not better.
+const FINEST: f64 = 1e-8;
 /// Below this part of the least tolerance of a field, GMRES has nothing to gain.
 const NEGLIGIBLE: f64 = 0.1;
 /// λ is not made smaller than this.
@@ -33,7 +44,6 @@ const PATIENCE: usize = 4;
 const DIFFERENCE: f64 = 1e-6;
 
 /// Where Newton's method has been, and where it goes.
-#[derive(Default)]
 pub(super) struct Search {
     /// Where the residual was least.
     best: Option<Base>,
@@ -41,6 +51,9 @@ pub(super) struct Search {
     last: Option<Base>,
     /// Passes since the best one.
     waited: usize,
+    /// η of the earlier time steps, and the largest one in this time step.
+    earlier: f64,
+    seen: Option<f64>,
 }
 
 #[derive(Clone)]
@@ -49,13 +62,32 @@ struct Base {
     /// ‖r(x)‖.
     norm: f64,
     direction: Vec<f64>,
+    /// ‖r(x) − (I − G′(x)) s‖ with the direction s.
+    predicted: f64,
     factor: f64,
 }
 
 impl Search {
+    /// In a new attempt at a time step, after one that left `forcing`.
+    pub(super) fn new(forcing: f64) -> Self {
+        Self { best: None, last: None, waited: 0, earlier: forcing, seen: None }
+    }
+
+    /// What GMRES is to reduce residuals by, as far as is known.
+    pub(super) fn forcing(&self) -> f64 {
+        self.seen.unwrap_or(self.earlier).clamp(FINEST, FORCING)
+    }
+
+    /// Takes note of the residual that a pass has left.
+    pub(super) fn see(&mut self, r: &[f64], weights: &[f64]) {
+        let Some(last) = &self.last else { return };
+        let part = if last.factor < 1.0 { 1.0 } else { (weighted(r, weights) - last.predicted).abs() / last.norm };
+        self.seen = Some(self.seen.unwrap_or(0.0).max(part));
+    }
+
     /// Goes on from x: the first trial, x + s.
-    fn start(&mut self, x: Vec<f64>, norm: f64, direction: Vec<f64>) -> Vec<f64> {
-        let base = Base { x, norm, direction, factor: 1.0 };
+    fn start(&mut self, x: Vec<f64>, norm: f64, direction: Vec<f64>, predicted: f64) -> Vec<f64> {
+        let base = Base { x, norm, direction, predicted, factor: 1.0 };
         if self.best.as_ref().is_none_or(|best| norm < best.norm) {
             (self.best, self.waited) = (Some(base.clone()), 0);
         }
@@ -98,6 +130,8 @@ pub(super) struct At<'a> {
     pub(super) accelerated: &'a [usize],
     /// Of their entries, one after the other, in the norm.
     pub(super) weights: &'a [f64],
+    /// Of each field: the one that weights are made of, and that of the criterion.
+    pub(super) scales: [&'a [f64]; 2],
 }
 
 impl Run {
@@ -114,12 +148,18 @@ impl Run {
     ) -> Result<Vec<f64>, CouplingError> {
         // GMRES works on fields times their weights, so that it sees all of them alike.
         let b: Vec<f64> = r.iter().zip(at.weights).map(|(r, w)| r * w).collect();
-        let norm = b.iter().map(|b| b * b).sum::<f64>().sqrt();
+        let norm = weighted(r, at.weights);
         if let Some(trial) = search.go_back(norm) {
             return Ok(trial);
         }
-        let tolerances = at.accelerated.iter().map(|&f| self.interface.fields[f].criterion.tolerance.0);
-        let target = (FORCING * norm).max(NEGLIGIBLE * tolerances.fold(f64::INFINITY, f64::min));
+        let [weighing, scales] = at.scales;
+        let limit = |(f, residual): (usize, &FieldResidual)| match at.accelerated.contains(&f) {
+            true => self.interface.fields[f].criterion.tolerance.0 * scales[f] / weighing[f],
+            // It follows the others, and shrinks as they do.
+            false => norm / residual.ratio(),
+        };
+        let limits = record.residuals.iter().enumerate().map(limit).filter(|limit| limit.is_finite());
+        let target = (search.forcing() * norm).max(NEGLIGIBLE * limits.reduce(f64::min).unwrap_or(0.0));
         let mut scaled = vec![0.0; b.len()];
         let cell = RefCell::new((self, record, None));
         let apply = |v: &[f64], out: &mut [f64]| {
@@ -145,7 +185,7 @@ impl Run {
                 }
             }
         };
-        linear::gmres(&apply, &|_| {}, &b, &mut scaled, target, krylov);
+        let left = linear::gmres(&apply, &|_| {}, &b, &mut scaled, target, krylov).residual;
         if let Some(error) = cell.into_inner().2 {
             return Err(error);
         }
@@ -154,7 +194,7 @@ impl Run {
             // No derivative: the step of the split itself.
             direction = r.to_vec();
         }
-        Ok(search.start(x, norm, direction))
+        Ok(search.start(x, norm, direction, left))
     }
 
     /// G′(x) v for a change v of the fields. The units stand at the end of the pass. None where a unit refuses to be
@@ -210,7 +250,7 @@ impl Run {
         }
         let largest = |f: usize| {
             let size = change[f].iter().chain(&v[f]).fold(0.0f64, |m, c| m.max(c.abs()));
-            size / self.scale(f)
+            size / at.scales[0][f]
         };
         let size = (0..fields.len()).map(largest).fold(0.0, f64::max);
         if size == 0.0 {
@@ -235,6 +275,11 @@ impl Run {
     }
 }
 
+/// The norm of a residual.
+fn weighted(r: &[f64], weights: &[f64]) -> f64 {
+    r.iter().zip(weights).map(|(r, w)| (r * w).powi(2)).sum::<f64>().sqrt()
+}
+
 /// Name of the variable that takes the point at which a field was found.
 pub(super) fn reference_of(field: &str) -> String {
     format!("{field}_reference")
@@ -250,17 +295,17 @@ pub(super) fn scatter(to: &[usize], values: impl IntoIterator<Item = f64>, field
 
 #[cfg(test)]
 mod tests {
-    use super::Search;
+    use super::{FORCING, Search};
 
     /// Newton's method for r(x) = 0 from x = 3 with given derivative of r; gives the number of evaluations.
     fn evaluations(r: impl Fn(f64) -> f64, slope: impl Fn(f64) -> f64) -> usize {
-        let (mut search, mut x) = (Search::default(), 3.0);
+        let (mut search, mut x) = (Search::new(FORCING), 3.0);
         for k in 1..100 {
             let norm = r(x).abs();
             if norm < 1e-10 {
                 return k;
             }
-            let next = search.go_back(norm).unwrap_or_else(|| search.start(vec![x], norm, vec![-r(x) / slope(x)]));
+            let next = search.go_back(norm).unwrap_or_else(|| search.start(vec![x], norm, vec![-r(x) / slope(x)], 0.0));
             x = next[0];
         }
         100
@@ -277,9 +322,9 @@ mod tests {
 
     #[test]
     fn refused_trials_come_nearer_to_the_base() {
-        let mut search = Search::default();
+        let mut search = Search::new(FORCING);
         assert_eq!(search.shorten(), None);
-        assert_eq!(search.start(vec![1.0], 1.0, vec![8.0]), [9.0]);
+        assert_eq!(search.start(vec![1.0], 1.0, vec![8.0], 0.0), [9.0]);
         let trials: Vec<f64> = std::iter::from_fn(|| search.shorten()).flatten().collect();
         assert_eq!(trials, [5.0, 3.0, 2.0]);
     }

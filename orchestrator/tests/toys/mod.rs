@@ -1,6 +1,6 @@
 //! Analytic units: columns of poroelastic rock, each a scalar problem of its own.
 //!
-//! Flow: (φ − φ_n) + (p − p_n)/M + δt k (p − p_ext) = 0. Mechanics: K ε + L ε³ = σ(t) + b p, φ = b ε.
+//! Flow: (φ − φ_n) + (p − p_n)/M + δt k (p − p⁰) = 0. Mechanics: K ε + L ε³ = σ(t) + b (p − p⁰), φ = b ε.
 //! Partners are affine functions around the last exchange (project's `coupling.md`, section 1).
 
 use std::collections::BTreeMap;
@@ -20,13 +20,22 @@ pub(crate) struct Column {
     pub(crate) hardening: f64,
     /// k (1/(Pa s)).
     pub(crate) leakage: f64,
+    /// p⁰ (Pa), that of the start.
+    pub(crate) background: f64,
 }
 
 impl Column {
     /// With the coupling strength τ = b²M/K_dr.
     pub(crate) fn of_strength(tau: f64) -> Self {
         let (b, k) = (0.8, 1e9);
-        Self { biot_coefficient: b, biot_modulus: tau * k / (b * b), stiffness: k, hardening: 0.0, leakage: 0.0 }
+        Self {
+            biot_coefficient: b,
+            biot_modulus: tau * k / (b * b),
+            stiffness: k,
+            hardening: 0.0,
+            leakage: 0.0,
+            background: 0.0,
+        }
     }
 }
 
@@ -57,6 +66,8 @@ pub(crate) struct Toy {
     pub(crate) rolls_back: bool,
     /// Whether it has directional derivatives.
     pub(crate) differentiates: bool,
+    /// From this time on (s) the load stays as it is.
+    pub(crate) held_from: f64,
     /// From this time on (s) the porosity is not a number.
     pub(crate) breaks_at: f64,
     state: State,
@@ -96,12 +107,15 @@ impl Toy {
             least_porosity: f64::NEG_INFINITY,
             rolls_back: true,
             differentiates: true,
+            held_from: f64::INFINITY,
             breaks_at: f64::INFINITY,
             state: State { values, porosity: vec![0.0; n], slope: vec![0.0; n] },
             kept: None,
             newton: 0,
             log: Default::default(),
         };
+        let background: Vec<f64> = columns.iter().map(|c| c.background).collect();
+        toy.state.values.insert("matrix.pressure".into(), background);
         if is_flow {
             let stiffness = columns.iter().map(|c| c.biot_modulus).collect();
             toy.state.values.insert("matrix.pressure_stiffness".into(), stiffness);
@@ -124,8 +138,11 @@ impl Toy {
             let (compliance, reference) =
                 (self.value("matrix.porosity_compliance", i), self.value("matrix.pressure_reference", i));
             let (before, given) = (self.value("matrix.pressure", i), self.value("matrix.porosity_change", i));
-            // φ* + C (p − p*) − φ_n + (p − p_n)/M + δt k p = 0
-            let right = self.state.porosity[i] - given + compliance * reference + before / c.biot_modulus;
+            // φ* + C (p − p*) − φ_n + (p − p_n)/M + δt k (p − p⁰) = 0
+            let right = self.state.porosity[i] - given
+                + compliance * reference
+                + before / c.biot_modulus
+                + step * c.leakage * c.background;
             let diagonal = compliance + 1.0 / c.biot_modulus + step * c.leakage;
             let p = right / diagonal;
             self.state.slope[i] = 1.0 / diagonal;
@@ -141,11 +158,12 @@ impl Toy {
             let b = c.biot_coefficient;
             let (given, stiffness) = (self.value("matrix.pressure", i), self.value("matrix.pressure_stiffness", i));
             let reference = self.value("matrix.porosity_change_reference", i);
-            // K ε + L ε³ = σ + b (p* − S (b ε − φ*))
+            let load = load(end.min(self.held_from));
+            // K ε + L ε³ = σ + b (p* − S (b ε − φ*) − p⁰)
             let mut strain = self.value("matrix.porosity_change", i) / b;
             for _ in 0..50 {
-                let pressure = given - stiffness * (b * strain - reference);
-                let defect = c.stiffness * strain + c.hardening * strain.powi(3) - load(end) - b * pressure;
+                let pressure = given - stiffness * (b * strain - reference) - c.background;
+                let defect = c.stiffness * strain + c.hardening * strain.powi(3) - load - b * pressure;
                 let slope = c.stiffness + 3.0 * c.hardening * strain * strain + b * b * stiffness;
                 strain -= defect / slope;
                 self.newton += 1;
