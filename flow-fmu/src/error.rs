@@ -94,18 +94,21 @@ pub enum Problem {
         /// One for each entity.
         expected: usize,
     },
-    /// Part of the rock is connected to nothing that fixes its pressure.
+    /// Nothing fixes the pressure in a part of rock and fractures.
     #[error(
-        "nothing fixes the pressure in {cells} cells (the first is {first_cell:?}) and {fracture_faces} fracture faces \
-         that are connected to each other: no boundary pressure, no well with a pressure, no compressibility"
+        "nothing fixes the pressure in {}, linked to each other and to nothing else: the first is {first}. They have neither a \
+         boundary pressure nor a well that holds a pressure, and neither fluid nor rock there can be compressed. Give the fluid \
+         a bulk modulus, give the rock a Biot modulus, or couple the flow to mechanics with a Biot \
+         coefficient above 0, in an iteration in which the pressure follows from the rock (a host says so by the parameter pressure_references.follow)",
+        isolated(*cells, *fracture_faces)
     )]
     Isolated {
         /// Number of cells.
         cells: usize,
-        /// The lowest of them.
-        first_cell: Option<usize>,
         /// Number of fracture faces.
         fracture_faces: usize,
+        /// The first of them, with its place.
+        first: String,
     },
 }
 
@@ -115,6 +118,16 @@ impl Problem {
         let reason =
             "to hold a pressure, or to be limited by one, it needs an index, or a radius that gives one".into();
         Self::WellIndex { well: well.name.clone(), reason }
+    }
+}
+
+/// "3 cells and 1 fracture face".
+fn isolated(cells: usize, fracture_faces: usize) -> String {
+    let counted = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    match (cells, fracture_faces) {
+        (0, faces) => counted(faces, "fracture face"),
+        (cells, 0) => counted(cells, "cell"),
+        (cells, faces) => format!("{} and {}", counted(cells, "cell"), counted(faces, "fracture face")),
     }
 }
 

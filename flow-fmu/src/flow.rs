@@ -17,6 +17,7 @@ mod boundary;
 mod control;
 mod energy;
 mod fluxes;
+mod held;
 mod inputs;
 mod parts;
 mod porosity;
@@ -291,6 +292,8 @@ impl Flow {
         for d in &self.inflows {
             inflow[d.trace] += d.measure * datum(d, "the inflow");
         }
+        fail_on(std::mem::take(&mut problems))?;
+        let inputs = &*self.held(rate, inputs);
         let base = self.coefficients(time, rate, inputs, &mut problems);
         fail_on(problems)?;
 
@@ -413,7 +416,9 @@ impl Flow {
                 inputs.aperture[i] + inputs.aperture_compliance[i] * from_reference
             })
             .collect();
-        if let Some(i) = aperture.iter().position(|&d| d.is_nan() || d <= 0.0) {
+        // Where references follow, a pressure far from its reference is not the last one.
+        let is_closed = |&d: &f64| d.is_nan() || (d <= 0.0 && !inputs.references_follow);
+        if let Some(i) = aperture.iter().position(is_closed) {
             return Err(FlowError::Closed { fracture_face: i, aperture: aperture[i] });
         }
         let face_flux = self.face_fluxes(&evaluation, inflow);

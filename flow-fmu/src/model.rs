@@ -78,12 +78,14 @@ pub struct Rock {
     pub porosity: f64,
     /// M (Pa); `None`: infinite, no storage of its own.
     pub biot_modulus: Option<f64>,
+    /// b, by which pressure drives the rock: where it is 0, no partner answers to the pressure in the rock.
+    pub biot_coefficient: f64,
 }
 
 impl Rock {
-    /// A rock of the same permeability (m²) in all directions.
+    /// A rock of the same permeability (m²) in all directions, that pressure does not drive.
     pub fn isotropic(permeability: f64, porosity: f64, biot_modulus: Option<f64>) -> Self {
-        Self { permeability: Tensor::IDENTITY * permeability, porosity, biot_modulus }
+        Self { permeability: Tensor::IDENTITY * permeability, porosity, biot_modulus, biot_coefficient: 0.0 }
     }
 
     /// 1/M (1/Pa).

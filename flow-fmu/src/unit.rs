@@ -38,6 +38,7 @@ pub struct FlowUnit {
     log: Log,
     settings: Settings,
     report: Arc<StepReport>,
+    needs_references: bool,
     /// Wall time of computing.
     computing: Duration,
 }
@@ -87,6 +88,7 @@ impl FlowUnit {
             log,
             settings,
             report: Arc::new(no_step(&flow)),
+            needs_references: flow.needs_references(),
             flow,
             computing,
         })
@@ -229,6 +231,28 @@ fn table(flow: &Flow, settings: &Settings) -> Table<FlowUnit> {
         },
         |u, v| v.write(&[u.flow.work().factorisations as i64]),
         None,
+    );
+    t.add(
+        |r| {
+            Variable::calculated_parameter(r, "pressure_references.needed", Type::Boolean).describe(
+                "Whether there are parts whose pressure nothing fixes but the rock's answer: references of the pressures must follow them",
+            )
+        },
+        |u, v| v.write(&[u.needs_references]),
+        None,
+    );
+    t.add(
+        |r| {
+            Variable::parameter(r, "pressure_references.follow", Type::Boolean).tunable().start(false).describe(
+                "Whether the host repeats time steps, with pressures as their own references, until both agree: these then hold \
+                 parts that nothing else does",
+            )
+        },
+        |u, v| v.write(&[u.settings.inputs.references_follow]),
+        Some(|u, v| {
+            u.settings.inputs.references_follow = v.scalar()?;
+            Ok(())
+        }),
     );
     add_energies(&mut t, sizes(mesh).energy_unit());
     add_boundaries(&mut t, flow, rate);
@@ -648,6 +672,7 @@ pub fn flow_model(document: &Document, mesh: &Mesh) -> Result<FlowModel, UnitErr
             permeability: Tensor::from_cols_array_2d(&permeability.rows(mesh.dim())).transpose(),
             porosity: region.porosity.0,
             biot_modulus: region.biot_modulus.map(|m| m.0),
+            biot_coefficient: region.biot_coefficient.0,
         };
         problem.rocks.push((name.clone(), rock));
     }

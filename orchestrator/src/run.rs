@@ -28,6 +28,9 @@ const DIVERGED: f64 = 1e8;
 /// far off, what it believes of its partner leads too far, as to apertures below zero. Sensitivities have no part in the
 /// solution, and a smaller time step would be another solution.
 const TRUST: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
+/// A unit says by the first whether it has parts that only references of its own fields can hold, and is told by the second that these
+/// follow.
+const REFERENCES: [&str; 2] = ["pressure_references.needed", "pressure_references.follow"];
 /// Entries that the report of a failure names for each field.
 const REPORTED: usize = 5;
 
@@ -94,6 +97,10 @@ pub struct Run {
     units: Vec<Box<dyn Unit>>,
     interface: Interface,
     settings: Settings,
+    /// The own fields of each coupled unit that it is given as references, the point at which its partner was evaluated.
+    references: [Vec<usize>; 2],
+    /// Whether each coupled unit has parts that only its references hold.
+    needs_references: [bool; 2],
     control: TimeControl,
     pub(crate) state: State,
 }
@@ -203,7 +210,31 @@ impl Run {
             accelerator: Accelerator::default(),
             forcing: newton_krylov::FORCING,
         });
-        Ok(Self { units, interface, settings, control, state })
+        let (references, needs_references) = Default::default();
+        let mut run = Self { units, interface, settings, references, needs_references, control, state };
+        for unit in 0..run.interface.coupled {
+            run.references[unit] = run.find_references(unit, iterates)?;
+        }
+        Ok(run)
+    }
+
+    /// The fields that a unit is given as references: those around which its partner's sensitivities are, and all where it needs them and
+    /// the coupling iterates.
+    fn find_references(&mut self, unit: usize, iterates: bool) -> Result<Vec<usize>, CouplingError> {
+        let [needed, follow] = REFERENCES;
+        let mut needs = Vec::new();
+        if iterates && self.units[unit].has(needed) && self.units[unit].has(follow) {
+            self.call(unit, |u| u.get(needed, &mut needs))?;
+        }
+        if needs == [1.0] {
+            self.needs_references[unit] = true;
+            self.call(unit, |u| u.set(follow, &needs))?;
+            let own = self.interface.given_by(unit);
+            return Ok(own.filter(|&f| self.units[unit].has(&reference_of(&self.interface.fields[f].name))).collect());
+        }
+        let partner = 1 - unit;
+        let given = self.interface.given_by(partner).filter(|_| self.settings.scheme.connected[partner]);
+        Ok(given.filter_map(|f| Some(self.interface.fields[f].sensitivity.as_ref()?.partner)).collect())
     }
 
     /// Whether [`checkpoint`](Self::checkpoint) works.
@@ -226,6 +257,17 @@ impl Run {
     /// Time (s) up to which the run has got.
     pub fn time(&self) -> f64 {
         self.state.time
+    }
+
+    /// What may help where a time step fails, beside what the report says.
+    pub fn remedy(&self) -> Option<&'static str> {
+        let connected = self.settings.scheme.connected;
+        let is_held = |unit: usize| self.needs_references[unit] && !connected[unit];
+        is_held(crate::FLOW).then_some(
+            "the flow has parts whose pressure only the rock's answer fixes, as sealed fractures with an incompressible fluid. Where a \
+             block of rock is held by nothing but the pressures in them, mechanics has no one answer to given pressures, and only \
+             coupling.split = \"undrained\" gets there",
+        )
     }
 
     /// Whether the end is reached.
@@ -485,13 +527,12 @@ impl Run {
         guess
     }
 
-    /// The fields that a pass depends on: what the first unit is given, and, where sensitivities of the second are
-    /// connected, the point at which that was found.
+    /// The fields that a pass depends on: what the first unit is given, and, where it has references, the point at which that was
+    /// found.
     fn accelerated(&self) -> Vec<usize> {
-        let Scheme { first, connected } = self.settings.scheme;
-        let second = 1 - first;
-        let mut list: Vec<usize> = self.interface.given_by(second).collect();
-        if connected[second] {
+        let first = self.settings.scheme.first;
+        let mut list: Vec<usize> = self.interface.given_by(1 - first).collect();
+        if !self.references[first].is_empty() {
             list.extend(self.interface.given_by(first));
         }
         list
@@ -566,7 +607,6 @@ impl Run {
             if self.settings.scheme.connected[partner]
                 && let Some(sensitivity) = &field.sensitivity
             {
-                let own = reference_of(&self.interface.fields[sensitivity.partner].name);
                 let values = std::mem::take(&mut self.state.sensitivities[f]);
                 if trust == 1.0 {
                     self.call(unit, |u| u.set(&sensitivity.variable, &values))?;
@@ -575,8 +615,11 @@ impl Run {
                     self.call(unit, |u| u.set(&sensitivity.variable, &reduced))?;
                 }
                 self.state.sensitivities[f] = values;
-                self.call(unit, |u| u.set(&own, &reference[sensitivity.partner]))?;
             }
+        }
+        for f in self.references[unit].clone() {
+            let own = reference_of(&self.interface.fields[f].name);
+            self.call(unit, |u| u.set(&own, &reference[f]))?;
         }
         Ok(())
     }

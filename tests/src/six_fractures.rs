@@ -152,6 +152,7 @@ impl Coupled {
                 aperture_compliance: probed.iter().zip(&scale).map(|(c, s)| c.max(floor * s)).collect(),
                 matrix_pressure_reference: matrix_pressure.clone(),
                 fracture_pressure_reference: fracture_pressure.clone(),
+                references_follow: false,
                 wells: Vec::new(),
             };
             self.flow.step(dt, &inputs).unwrap_or_else(|e| panic!("{e}"));

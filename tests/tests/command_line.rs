@@ -110,10 +110,12 @@ fn every_split_agrees_with_a_monolithic_solve() {
 /// The six fractures to the end, when of 2.6 MPa some hundred pascals are left: what is left is as right as what there was.
 #[test]
 fn what_is_left_of_a_pressure_agrees_with_a_monolithic_solve() {
-    /// That of the criteria, of what is left; errors of earlier time steps go with what they are errors of.
-    const COUPLING: f64 = 1e-5;
+    /// Five times that of the criteria, which are for residuals of a pass and of what was left a time step before.
+    const COUPLING: f64 = 5e-5;
     let mut coupled = Coupled::new(triangles(0.1));
-    (0..20).for_each(|_| drop(monolithic::step(&mut coupled, 100.0)));
+    for _ in 0..20 {
+        monolithic::step(&mut coupled, 100.0);
+    }
     let largest = |values: &[f64]| values.iter().fold(f64::NEG_INFINITY, |m, v| m.max(*v));
     let fields = [
         ("fracture_pressure", largest(coupled.flow.fracture_pressure())),

@@ -21,6 +21,9 @@ pub struct Inputs {
     pub matrix_pressure_reference: Vec<f64>,
     /// p_f* (Pa), fracture faces.
     pub fracture_pressure_reference: Vec<f64>,
+    /// Whether p* and p_f* follow the pressures, in time steps that are repeated until both agree: then they hold parts that
+    /// nothing else does.
+    pub references_follow: bool,
     /// In the order of the model.
     pub wells: Vec<Control>,
 }
@@ -36,6 +39,7 @@ impl Flow {
             aperture_compliance: vec![0.0; state.aperture.len()],
             matrix_pressure_reference: state.matrix_pressure.clone(),
             fracture_pressure_reference: self.fracture_pressure().to_vec(),
+            references_follow: false,
             wells: self.model.wells.iter().map(|w| w.control).collect(),
         }
     }

@@ -1,6 +1,7 @@
 //! Derivatives of the pressures of a time step.
 
 use super::Flow;
+use super::Inputs;
 use super::inputs::check_array;
 use crate::error::FlowError;
 use crate::model::fail_on;
@@ -37,7 +38,9 @@ impl Flow {
     /// # Errors
     /// As [`step`](Self::step).
     pub fn fracture_pressure_stiffness(&mut self, dt: f64) -> Result<Vec<f64>, FlowError> {
-        let (inputs, mut problems) = (self.inputs(), Vec::new());
+        // A part that nothing holds is as stiff as what stands for its partner.
+        let inputs = Inputs { references_follow: true, ..self.inputs() };
+        let (inputs, mut problems) = (self.held(dt.recip(), &inputs).into_owned(), Vec::new());
         let mut c = self.coefficients(self.state.time, dt.recip(), &inputs, &mut problems);
         fail_on(problems)?;
         self.add_wells(&mut c, &inputs, &self.state.limited);

@@ -92,7 +92,7 @@ pub(crate) fn all_pressure(mesh: &Mesh, permeability: Tensor, p: SpaceTimeFuncti
 }
 
 pub(crate) fn rock(permeability: Tensor) -> Rock {
-    Rock { permeability, porosity: 0.2, biot_modulus: None }
+    Rock { permeability, porosity: 0.2, biot_modulus: None, biot_coefficient: 0.0 }
 }
 
 /// A fracture by what the equations see of it for η = 1: d_f³/12 and T_f.

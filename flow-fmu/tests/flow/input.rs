@@ -141,7 +141,8 @@ fn wells() {
 #[test]
 fn several_at_once() {
     let found = problems(|m| {
-        m.rocks[0].1 = Rock { permeability: -Tensor::IDENTITY, porosity: 1.5, biot_modulus: Some(-1.0) };
+        m.rocks[0].1 =
+            Rock { permeability: -Tensor::IDENTITY, porosity: 1.5, biot_modulus: Some(-1.0), biot_coefficient: 0.0 };
         m.fractures[0].1 = Fracture { normal_permeability: f64::NAN, aperture: 0.0.into() };
         m.wells = vec![well("w", WellPlace::Cell(Vec3::new(9.0, 9.0, 0.0)))];
         m.boundaries.push(("lid".into(), Boundary::pressure(1.0)));

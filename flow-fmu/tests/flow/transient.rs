@@ -45,7 +45,8 @@ fn everything(dim: usize) -> Flow {
     let up = if dim == 2 { Vec3::Y } else { Vec3::Z };
     let mut model = FlowModel::new(Fluid { viscosity: 1e-3, density: 1000.0, bulk_modulus: Some(2.2e9) });
     model.gravity = -9.81 * up;
-    let rock = Rock { permeability: 1e-15 * full_tensor(), porosity: 0.15, biot_modulus: Some(1.2e10) };
+    let rock =
+        Rock { permeability: 1e-15 * full_tensor(), porosity: 0.15, biot_modulus: Some(1.2e10), biot_coefficient: 0.0 };
     model.rocks.push(("rock".into(), rock));
     for name in ["a", "b"] {
         let aperture = SpaceTimeFunction::new(|x, _| 1e-4 * (1.0 + 0.5 * (x.y / 30.0).sin()));

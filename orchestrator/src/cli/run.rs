@@ -358,7 +358,8 @@ fn drive(
     peaks.take("page and plots");
     if let Some(report) = failure {
         let places = places(&report, folder.mesh());
-        let left = format!("\nresults up to t = {} s are in {}", report.time, folder.path().display());
+        let remedy = run.remedy().map_or_else(String::new, |remedy| format!("\n{remedy}"));
+        let left = format!("{remedy}\nresults up to t = {} s are in {}", report.time, folder.path().display());
         return Err(CliError::Coupling { error: CouplingError::Failed(report), places, left });
     }
     parts.extend(names.into_iter().zip(in_units));

@@ -40,6 +40,13 @@ const SHORTEST: f64 = 0.125;
 /// residual is another function, and mostly a greater one; the next step then gets it right. To shorten such a step is
 /// to creep up to the place where the states change.
 const PATIENCE: usize = 4;
+/// Where more than this part of a residual answers to nothing, as below the pressure that opens a sealed fracture, it is followed in
+/// strides, each so many times the one before, since it may be far to where something answers: (I − γ G′) s = r with γ = 1 − 1/stride
+/// is s = stride · r where G′ s = s, and Newton's step elsewhere.
+const STUCK: f64 = 0.5;
+const STRIDE: f64 = 4.0;
+/// A step that is so many times the residual comes of a derivative that is round-off.
+const LONGEST: f64 = 1e10;
 /// Differences change the fields by this part of their scales: the root of what units' solvers leave.
 const DIFFERENCE: f64 = 1e-6;
 
@@ -54,6 +61,8 @@ pub(super) struct Search {
     /// η of the earlier time steps, and the largest one in this time step.
     earlier: f64,
     seen: Option<f64>,
+    /// Times the residual, in the last passes that were stuck.
+    stride: Option<f64>,
 }
 
 #[derive(Clone)]
@@ -70,7 +79,7 @@ struct Base {
 impl Search {
     /// In a new attempt at a time step, after one that left `forcing`.
     pub(super) fn new(forcing: f64) -> Self {
-        Self { best: None, last: None, waited: 0, earlier: forcing, seen: None }
+        Self { best: None, last: None, waited: 0, earlier: forcing, seen: None, stride: None }
     }
 
     /// What GMRES is to reduce residuals by, as far as is known.
@@ -78,9 +87,17 @@ impl Search {
         self.seen.unwrap_or(self.earlier).clamp(FINEST, FORCING)
     }
 
+    /// How far to follow a residual that answers to nothing.
+    fn stride(&mut self) -> f64 {
+        *self.stride.insert(self.stride.map_or(1.0, |stride| STRIDE * stride))
+    }
+
     /// Takes note of the residual that a pass has left.
     pub(super) fn see(&mut self, r: &[f64], weights: &[f64]) {
         let Some(last) = &self.last else { return };
+        if last.predicted <= STUCK * last.norm {
+            self.stride = None;
+        }
         let part = if last.factor < 1.0 { 1.0 } else { (weighted(r, weights) - last.predicted).abs() / last.norm };
         self.seen = Some(self.seen.unwrap_or(0.0).max(part));
     }
@@ -103,6 +120,9 @@ impl Search {
 
     /// Where the residual has not become better for long, a shorter step from the best place.
     fn go_back(&mut self, norm: f64) -> Option<Vec<f64>> {
+        if self.stride.is_some() {
+            return None;
+        }
         let best = self.best.as_mut().filter(|best| best.norm <= norm)?;
         self.waited += 1;
         if self.waited < PATIENCE || best.factor <= SHORTEST {
@@ -160,9 +180,9 @@ impl Run {
         };
         let limits = record.residuals.iter().enumerate().map(limit).filter(|limit| limit.is_finite());
         let target = (search.forcing() * norm).max(NEGLIGIBLE * limits.reduce(f64::min).unwrap_or(0.0));
-        let mut scaled = vec![0.0; b.len()];
         let cell = RefCell::new((self, record, None));
-        let apply = |v: &[f64], out: &mut [f64]| {
+        // (I − γ G′(x)) v
+        let apply = |damping: f64, v: &[f64], out: &mut [f64]| {
             if v.iter().all(|&v| v == 0.0) {
                 return out.fill(0.0);
             }
@@ -174,7 +194,7 @@ impl Run {
                 Ok(Some(image)) => {
                     let image = at.accelerated.iter().flat_map(|&f| &image[f]);
                     for (((out, v), g), w) in out.iter_mut().zip(v).zip(image).zip(at.weights) {
-                        *out = v - g * w;
+                        *out = v - damping * g * w;
                     }
                 }
                 // GMRES ends where something is not finite.
@@ -185,7 +205,16 @@ impl Run {
                 }
             }
         };
-        let left = linear::gmres(&apply, &|_| {}, &b, &mut scaled, target, krylov).residual;
+        let solve = |damping: f64| {
+            let mut scaled = vec![0.0; b.len()];
+            let solved = linear::gmres(&|v, out| apply(damping, v, out), &|_| {}, &b, &mut scaled, target, krylov);
+            (scaled, solved.residual)
+        };
+        let (mut scaled, mut left) = solve(1.0);
+        if left > STUCK * norm || scaled.iter().any(|s| s.abs() > LONGEST * norm) {
+            let stride = search.stride();
+            (scaled, left) = (if stride > 1.0 { solve(1.0 - stride.recip()).0 } else { b.clone() }, norm);
+        }
         if let Some(error) = cell.into_inner().2 {
             return Err(error);
         }
@@ -234,11 +263,8 @@ impl Run {
         let fields = &self.interface.fields;
         let own: Vec<usize> = self.interface.given_by(unit).collect();
         let outputs: Vec<&str> = own.iter().map(|&f| fields[f].name.as_str()).collect();
-        let references: Vec<(String, usize)> = (self.interface.given_by(partner))
-            .filter(|_| self.settings.scheme.connected[partner])
-            .filter_map(|f| fields[f].sensitivity.as_ref())
-            .map(|s| (reference_of(&fields[s.partner].name), s.partner))
-            .collect();
+        let references: Vec<(String, usize)> =
+            self.references[unit].iter().map(|&f| (reference_of(&fields[f].name), f)).collect();
         let mut inputs: Vec<(&str, &[f64])> =
             self.interface.given_by(partner).map(|f| (fields[f].name.as_str(), &change[f][..])).collect();
         inputs.extend(references.iter().map(|(name, f)| (name.as_str(), &v[*f][..])));

@@ -201,7 +201,10 @@ fn manufactured(output: &Path) -> Outcome<()> {
                 -sum * (0.5 * x.z).exp()
             };
             let mut model = FlowModel::new(unit_fluid());
-            model.rocks.push(("rock".into(), Rock { permeability: k, porosity: 0.0, biot_modulus: None }));
+            model.rocks.push((
+                "rock".into(),
+                Rock { permeability: k, porosity: 0.0, biot_modulus: None, biot_coefficient: 0.0 },
+            ));
             let given =
                 |tag: &String| (tag.clone(), Boundary::pressure(SpaceTimeFunction::new(move |x, _| pressure(x))));
             model.boundaries = mesh.data().tags.iter().map(given).collect();
