@@ -697,14 +697,16 @@ pub enum Extrapolation {
     Quadratic,
 }
 
-/// A field has converged when norm(residual) ≤ tolerance × max(range, floor), where the range is the difference of the
-/// largest and smallest values that the field has had at the times up to now.
+/// A field has converged when norm(residual) and norm(estimated error) ≤ tolerance × max(floor, range). The range is that of what is
+/// left of the field: the least of the range of all its values at the times up to now, of the range of its values in this time step, and of
+/// the range of their changes since the start. Where the units' round-off is larger, the time step is accepted as soon as nothing more is gained,
+/// and recorded as `round_off`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Criterion {
     /// Part of the scale.
     pub tolerance: Number,
-    /// Least scale, in the unit of the field.
+    /// Least scale, in the unit of the field: a range below it is taken for nothing. Default: 100 Pa, 1e-8, 10 nm.
     pub floor: Number,
     /// How the entries count.
     #[serde(default)]

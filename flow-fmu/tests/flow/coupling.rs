@@ -149,3 +149,52 @@ fn a_fracture_that_would_close_is_an_error_that_changes_nothing() {
     assert!(matches!(result, Err(FlowError::Closed { aperture, .. }) if aperture <= 0.0), "{result:?}");
     assert_eq!(&before, flow.state());
 }
+
+/// Parts that nothing but the partner holds: which they are, and that their references are the answer where they fit.
+#[test]
+fn references_hold_what_nothing_else_does() {
+    let with = |normal_permeability: f64, permeability: f64, b: f64, bulk_modulus, pressure: bool| {
+        let mut data = cartesian(Vec3::ZERO, Vec3::new(2.0, 1.0, 0.0), [16, 8, 0]);
+        data.mark_fracture("f", |x| x.y == 0.5 && (0.5..=1.5).contains(&x.x));
+        let mut model = FlowModel::new(Fluid { viscosity: 1e-3, density: 1000.0, bulk_modulus });
+        let rock = Rock { biot_coefficient: b, ..Rock::isotropic(permeability, 0.1, None) };
+        model.rocks.push(("rock".into(), rock));
+        model.fractures.push(("f".into(), Fracture { normal_permeability, aperture: 1e-4.into() }));
+        if pressure {
+            model.boundaries.push(("left".into(), Boundary::pressure(1e5)));
+        }
+        Flow::new(Arc::new(Mesh::new(data).unwrap()), model).unwrap()
+    };
+    // A fracture that leaks into rock that drains; sealed, by nothing and by next to nothing; water in it.
+    assert!(!with(1e-15, 1e-15, 1.0, None, true).needs_references());
+    assert!(with(0.0, 1e-15, 1.0, None, true).needs_references());
+    assert!(with(1e-40, 1e-15, 1.0, None, true).needs_references());
+    assert!(!with(0.0, 1e-15, 1.0, Some(2e9), true).needs_references());
+    // Tight rock that answers to pressure, and rock that does not; rock without an outlet.
+    assert!(with(1e-15, 1e-30, 1.0, None, true).needs_references());
+    assert!(!with(1e-15, 1e-15, 0.0, None, true).needs_references());
+    assert!(with(1e-15, 1e-15, 1.0, None, false).needs_references());
+    for (mut flow, is_rock) in
+        [(with(0.0, 1e-15, 1.0, None, true), false), (with(1e-15, 1e-30, 1.0, None, false), true)]
+    {
+        let mut inputs = flow.inputs();
+        let before = flow.state().clone();
+        assert!(matches!(flow.step(10.0, &inputs), Err(FlowError::Invalid(_))), "nobody follows");
+        inputs.references_follow = true;
+        inputs.fracture_pressure_reference.fill(3e6);
+        inputs.matrix_pressure_reference.fill(if is_rock { 3e6 } else { 1e5 });
+        // Where nothing must give way, the pressure is its reference.
+        flow.step(10.0, &inputs).unwrap();
+        assert!(flow.fracture_pressure().iter().all(|p| (p / 3e6 - 1.0).abs() < 1e-9));
+        // What its partner takes away must go somewhere: the pressure rises, and what the flow accounts for stays as it was.
+        flow.set_state(before.clone()).unwrap();
+        inputs.aperture.iter_mut().for_each(|d| *d -= 1e-6);
+        flow.step(10.0, &inputs).unwrap();
+        let volume = |apertures: &[f64]| apertures.iter().sum::<f64>();
+        assert!(flow.fracture_pressure().iter().all(|p| *p > 3.001e6));
+        if !is_rock {
+            let (found, wanted) = (volume(&flow.state().aperture), volume(&before.aperture));
+            assert!((found / wanted - 1.0).abs() < 1e-12);
+        }
+    }
+}

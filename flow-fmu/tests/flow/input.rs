@@ -162,19 +162,20 @@ fn an_isolated_part_is_found() {
     };
     let mut model = good();
     model.boundaries.clear();
+    let part = |cells: usize, fracture_faces: usize, first: &str| Problem::Isolated {
+        cells,
+        fracture_faces,
+        first: first.to_owned(),
+    };
     let found = isolated(model);
-    assert_eq!(found, [Problem::Isolated { cells: 16, first_cell: Some(0), fracture_faces: 4 }]);
+    assert_eq!(found, [part(16, 4, "cell 0 at (0.125, 0.125, 0.000) m")]);
+    assert!(found[0].to_string().starts_with("nothing fixes the pressure in 16 cells and 4 fracture faces, linked"));
     // A sealed fracture cuts off the right half, and is itself cut off.
     let mut model = good();
     model.fractures[0].1 = fracture(1.0, 0.0);
     let found = isolated(model.clone());
-    assert_eq!(
-        found,
-        [
-            Problem::Isolated { cells: 8, first_cell: Some(2), fracture_faces: 0 },
-            Problem::Isolated { cells: 0, first_cell: None, fracture_faces: 4 },
-        ]
-    );
+    let face = "face 0 on fracture \"f\" at (0.500, 0.125, 0.000) m";
+    assert_eq!(found, [part(8, 0, "cell 2 at (0.625, 0.125, 0.000) m"), part(0, 4, face)]);
     // Wells with a pressure fix it, one with a rate does not.
     model.wells = vec![well("w", WellPlace::Cell(Vec3::new(0.9, 0.1, 0.0)))];
     assert_eq!(isolated(model.clone()).len(), 2);

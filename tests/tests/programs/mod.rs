@@ -5,6 +5,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
 /// A mesh for tests of all but the numbers.
+#[allow(dead_code)] // Not all tests use it.
 pub(crate) const COARSE: [&str; 2] = ["--set", "mesh.triangles={size=0.2, fracture_size=0.1}"];
 
 pub(crate) fn root() -> PathBuf {
