@@ -85,7 +85,8 @@ impl Case {
     /// A line on the faces that are not planar, where there are such.
     fn describe_warps(&self, mesh: &Mesh) -> String {
         let planar = self.document.model.mesh.planarity();
-        let mut bent: Vec<f64> = (0..mesh.face_count()).map(|face| mesh.warp(face)).filter(|&w| w > ROUND_OFF).collect();
+        let mut bent: Vec<f64> =
+            (0..mesh.face_count()).map(|face| mesh.warp(face)).filter(|&w| w > ROUND_OFF).collect();
         bent.sort_by(f64::total_cmp);
         let Some(worst) = bent.last().filter(|_| self.document.model.flow.is_some()) else { return String::new() };
         let split = bent.len() - bent.partition_point(|&warp| warp <= planar);
