@@ -14,7 +14,7 @@ pub enum FileError {
         /// Its reason.
         source: std::io::Error,
     },
-    /// The HDF5 library refused.
+    /// The file is no HDF5, or is damaged.
     #[error("{}: {entry}: {source}", path.display())]
     Hdf5 {
         /// The file.
@@ -22,7 +22,7 @@ pub enum FileError {
         /// The dataset, group or attribute.
         entry: String,
         /// Its reason.
-        source: hdf5_metno::Error,
+        source: Box<hdf5_pure::Error>,
     },
     /// The file is of another version of the format.
     #[error("{}: version {found} of the format; this program reads version {supported}", path.display())]

@@ -1,7 +1,7 @@
 //! Meshes to HDF5 and back.
 
 use hdf5_metno::File;
-use mesh::{Lists, Mesh, MeshData, zoo};
+use mesh::{Lists, MeshData, zoo};
 use mesh_io::{FileError, read_hdf5, write_hdf5};
 
 fn specimen(name: &str) -> MeshData {
@@ -53,7 +53,7 @@ fn what_cannot_be_written_leaves_the_old_file() {
     assert!(matches!(&error, FileError::Content { entry, .. } if entry == "regions"), "{error}");
     assert_eq!(read_hdf5(&path).unwrap(), data);
     let nowhere = folder.path().join("no such folder").join("mesh.h5");
-    assert!(matches!(write_hdf5(&nowhere, &data), Err(FileError::Hdf5 { .. })));
+    assert!(matches!(write_hdf5(&nowhere, &data), Err(FileError::Io { .. })));
 }
 
 /// The message for a sound file after a change.
@@ -133,7 +133,7 @@ fn errors_name_file_and_entry() {
                 .write_raw(&values)
                 .unwrap();
         }),
-        &["faces/offsets", "its type is float64; it must be int64"],
+        &["faces/offsets", "its type is f64; it must be i64"],
     );
 }
 
@@ -156,10 +156,7 @@ fn damaged_files_are_refused() {
         damaged[i] ^= 0x55;
         std::fs::write(&path, &damaged).unwrap();
         match read_hdf5(&path) {
-            Ok(read) => {
-                let changed = read != data;
-                assert!(!changed || read.dim != data.dim || Mesh::new(read).is_err(), "byte {i}");
-            }
+            Ok(read) => assert_eq!(read, data, "byte {i}"),
             Err(_) => noticed += 1,
         }
     }
