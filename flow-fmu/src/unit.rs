@@ -435,7 +435,9 @@ fn add_wells(t: &mut Table<FlowUnit>, flow: &Flow, rate: &str) {
             t.add_numbered(TERMINAL, number, rate, |u, well, v| write(v, &[u.well(well).rate]), None);
             continue;
         }
-        let pressure = output("pressure", "Pa", "Pressure in");
+        // Without an index it is that of the cell.
+        let pressure =
+            output("pressure", "Pa", if well.index.is_some() { "Pressure in" } else { "Pressure of the cell of" });
         t.add_numbered(TERMINAL, number, pressure, |u, well, v| write(v, &[u.well(well).pressure]), None);
         if well.limit.is_some() {
             let actual = output("actual_rate", rate, "Rate that the limit of pressure leaves of");

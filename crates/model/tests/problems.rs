@@ -308,13 +308,23 @@ fn what_is_wrong_with_the_mesh_has_its_place() {
 
 /// The dimension is that of the mesh, whether the model tells it or a file.
 #[test]
+fn only_a_well_that_holds_a_pressure_needs_an_index() {
+    let with = |well: &str| problems(GOOD, &[&format!("flow.wells.w = {{ cell = [0.1, 0.1], {well} }}")]);
+    assert_eq!(with("rate = 1"), [""; 0]);
+    let needed = "exactly one of `index` and `radius` is required";
+    for well in ["pressure = 1", "rate = 1, limit = 2", "rate = 1, index = 1, radius = 1"] {
+        assert!(with(well).iter().any(|line| line.contains(needed)), "{well}: {:?}", with(well));
+    }
+}
+
+#[test]
 fn vectors_have_as_many_components_as_the_mesh_dimensions() {
     let changes = [
         "mechanics.traction = [{ on = ['top'], z = 1 }]",
         "mechanics.displacement = [{ at = [0, 0, 1], x = 0, z = 0 }]",
         "mechanics.body_force = [1, 2, 3]",
         "flow.gravity = [0, 0, -9.81]",
-        "flow.wells.w = { cell = [0, 0, 0], rate = 1, radius = 1 }",
+        "flow.wells.w = { cell = [0, 0, 0], rate = 1, radius = 1, direction = [0, 0, 1] }",
         "regions.rock.permeability = [1, 2, 3]",
     ];
     let found = problems(GOOD, &changes);
@@ -326,6 +336,7 @@ fn vectors_have_as_many_components_as_the_mesh_dimensions() {
         ("mechanics.body_force", number),
         ("flow.gravity", number),
         ("flow.wells.w.cell", number),
+        ("flow.wells.w.direction", "the mesh has two dimensions"),
         ("regions.rock.permeability", "2 numbers"),
     ];
     assert_eq!(found.len(), wanted.len(), "{found:#?}");

@@ -8,4 +8,5 @@ mod input;
 mod patch;
 mod radial;
 mod transient;
+mod warped;
 mod wells;
