@@ -258,9 +258,8 @@ mod tests {
                 start: Number(start),
                 end: Number(start + span),
                 step: Some(Number(step)),
-                minimum: (part() < 0.5).then(|| Number(0.02 * step)),
+                minimum: (part() < 0.5).then_some(Number(0.02 * step)),
                 adaptive: Some(adaptive),
-                ..Time::default()
             };
             let control = TimeControl::new(time.clone(), &outputs);
             let (mut now, mut pace, mut times) = (start, control.first(), vec![start]);
