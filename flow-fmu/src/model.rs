@@ -157,7 +157,7 @@ pub enum WellPlace {
 pub enum WellIndex {
     /// Given.
     Given(f64),
-    /// From the radius, as p_w − p is in the exact flow around a straight well on this mesh, see [`mod@crate::wells`]. A fracture
+    /// From the radius, as p_w − p is in the exact flow around a straight well on this mesh, see `wells.rs`. A fracture
     /// face in 2D has no radial flow: give W.
     Radius {
         /// r_w (m).

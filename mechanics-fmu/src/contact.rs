@@ -1,7 +1,7 @@
 //! The contact laws of a fracture face and their linearisation.
 //!
 //! With β > 0, the increment δ⟦u⟧_τ = ⟦u − u^{n−1}⟧_τ, the closure V of a joint and the opening D by mechanical dilation (see
-//! [`crate::joint`]; both 0 in the standard case) the laws are complementarity conditions (method: Alart, Curnier, CMAME 1991; as
+//! `joint.rs`; both 0 in the standard case) the laws are complementarity conditions (method: Alart, Curnier, CMAME 1991; as
 //! used by Droniou, Enchéry, Faille, Haidar, Masson, CMAME 2024, section 4.3, where V = D = 0):
 //!
 //! ```text
@@ -149,7 +149,7 @@ impl Face {
         Self { beta, fading, ..self.clone() }
     }
 
-    /// Aperture d_f (m), equation (5) or (6) of [`crate::joint`], with the slip counted from `origin`.
+    /// Aperture d_f (m), equation (5) or (6) of `joint.rs`, with the slip counted from `origin`.
     pub(crate) fn aperture(&self, jump: &Local, origin: &Local) -> f64 {
         let open = self.free_aperture(jump, origin);
         self.residual_aperture.map_or(open, |residual| open.max(residual))
