@@ -10,6 +10,9 @@
 //! owns the unknowns and their geometry, [`Flow`] the scheme: implicit Euler with C_f and T_f of the last time level,
 //! so that a time step is one linear, symmetric positive definite system.
 //!
+//! There is no maximum principle: on strongly distorted cells, as Kershaw's, a pressure may fall below all data, as after a well is
+//! shut in. Balances hold all the same; rounder cells help.
+//!
 //! [`mod@unit`] is all this as an FMI 3.0 unit; the other modules know neither FMI nor files.
 //!
 //! Mechanics is not known here. What deforms the rock enters as the affine functions of [`Inputs`].
